@@ -1,0 +1,363 @@
+"""Typed shape of every configuration file. Units stand in the names; unknown keys are refused."""
+
+from enum import StrEnum
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Probability = Annotated[float, Field(gt=0, lt=1)]
+Slug = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
+
+
+class Model(BaseModel):
+    """Base of all configuration: immutable, no unknown keys, no silent conversion of text to numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+# --- tools -----------------------------------------------------------------------------------------------------------
+
+
+class ToolKind(StrEnum):
+    SIMULATED = "simulated"
+    NIDAQ = "nidaq"
+    RECORDING = "recording"
+
+
+class Board(Model):
+    """The NI board: one hardware-timed clock for the analog inputs and the encoder."""
+
+    device: str = "Dev1"
+    product: str = "PCI-6230"
+    sample_rate_hz: Positive = 1000.0
+    block_samples: Annotated[int, Field(ge=1, le=100)] = 5
+
+
+class Channels(Model):
+    """Physical channels without the device name, e.g. `ai0`."""
+
+    strain: str = "ai0"
+    motor_command_readback: str = "ai2"
+    touch: tuple[str, str] = ("ai3", "ai1")
+    encoder: str = "ctr0"
+    motor_command: str = "ao0"
+    analog_range_v: Positive = 10.0
+
+
+class Geometry(Model):
+    """Link lengths and angle of the grasper, Table I."""
+
+    r_pp_m: Positive
+    a_m: Positive
+    l0_m: Positive
+    l1_m: Positive
+    l2_m: Positive
+    l_jaw_m: Positive
+    beta0_deg: Positive
+
+
+class Calibration(Model):
+    """Eqs. (1), (3) and (5), and the rest voltage that is tared away."""
+
+    newton_per_volt: Positive
+    encoder_deg_per_volt: NonNegative
+    handle_per_encoder: Positive
+    jaw_force_scale: Positive = 1.0
+    rest_offset_v: Finite
+    rest_tolerance_v: Positive
+    encoder_counts_per_rev: Annotated[int, Field(gt=0)]
+    encoder_gear_ratio: Positive
+    date: str
+    person: str
+
+    @property
+    def encoder_resolution_deg(self) -> float:
+        """Degrees after the gearbox for one quadrature count."""
+        return 360.0 / (self.encoder_counts_per_rev * 4 * self.encoder_gear_ratio)
+
+
+class SensorNoise(Model):
+    """What one raw sample scatters by; the estimator's noise model and the simulated board's noise."""
+
+    strain_sd_v: Positive
+    strain_lsb_v: NonNegative
+
+
+class ToolLimits(Model):
+    """Hard bounds of the tool, kept by the acquisition worker itself."""
+
+    max_command_v: Positive
+    force_ceiling_n: Positive
+    max_run_s: Positive
+
+
+class CommandToForce(Model):
+    """Static map from motor command to jaw force, linear between the points and beyond the last."""
+
+    command_v: tuple[NonNegative, ...]
+    force_n: tuple[NonNegative, ...]
+
+    @model_validator(mode="after")
+    def _rises_from_zero(self) -> Self:
+        if len(self.command_v) != len(self.force_n) or len(self.command_v) < 2:
+            raise ValueError("command_v and force_n need the same number of points, at least two")
+        if self.command_v[0] != 0 or self.force_n[0] != 0:
+            raise ValueError("both maps must begin at 0")
+        if any(np.diff(self.command_v) <= 0) or any(np.diff(self.force_n) <= 0):
+            raise ValueError("both maps must rise strictly")
+        return self
+
+    def force(self, command_v: np.ndarray | float) -> np.ndarray:
+        return _interpolate_beyond(command_v, self.command_v, self.force_n)
+
+    def command(self, force_n: np.ndarray | float) -> np.ndarray:
+        return _interpolate_beyond(force_n, self.force_n, self.command_v)
+
+
+def _interpolate_beyond(at: np.ndarray | float, xs: tuple[float, ...], ys: tuple[float, ...]) -> np.ndarray:
+    """Linear interpolation that goes on with the last slope beyond the last point."""
+    slope = (ys[-1] - ys[-2]) / (xs[-1] - xs[-2])
+    return np.interp(at, xs, ys) + slope * np.maximum(np.asarray(at, float) - xs[-1], 0.0)
+
+
+class ContactDetection(Model):
+    """How contact with tissue and shut jaws are told."""
+
+    touch_trusted: bool
+    touch_threshold_v: Positive = 2.5
+    force_rise_v: Positive
+    force_rise_samples: Annotated[int, Field(ge=1)] = 8
+    wall_deg_per_volt: Positive
+    wall_force_v: Positive
+    slip_deg: Positive
+
+
+class SimulatedGrasper(Model):
+    """Mechanics that the simulated tool adds to the tissue: drive lag, free travel, opening."""
+
+    drive_lag_s: Positive
+    contact_lag_s: Positive
+    free_drag_kg_per_s: Positive
+    free_travel_m: Positive
+    opening_time_s: Positive
+    spread_scale: NonNegative = 1.0
+
+
+class Tool(Model):
+    """A tool file: board, channels, geometry, calibration, noise, limits."""
+
+    name: Slug
+    title: str
+    kind: ToolKind
+    board: Board = Board()
+    channels: Channels = Channels()
+    geometry: Geometry
+    calibration: Calibration
+    noise: SensorNoise
+    limits: ToolLimits
+    command_to_force: CommandToForce
+    contact: ContactDetection
+    simulation: SimulatedGrasper | None = None
+
+    @model_validator(mode="after")
+    def _simulated_has_mechanics(self) -> Self:
+        if self.kind is ToolKind.SIMULATED and self.simulation is None:
+            raise ValueError("a tool of kind 'simulated' needs a [simulation] table")
+        return self
+
+
+# --- tissues ---------------------------------------------------------------------------------------------------------
+
+
+class Spread(Model):
+    """Standard deviations of the natural logarithms of the parameters from specimen to specimen."""
+
+    log_alpha: Positive
+    log_beta: Positive
+    log_damping: Positive
+
+
+class TissueProfile(Model):
+    """u = m x'' + d x' + alpha (exp(beta x) - 1), Eq. (7), and the pressure that injures."""
+
+    title: str
+    alpha_n: Positive
+    beta_per_m: Positive
+    damping_kg_per_s: Positive
+    thickness_m: Positive
+    threshold_pa: Positive
+    spread: Spread | None = None
+
+
+class TissueLibrary(Model):
+    """Tissue profiles that are told apart from each other."""
+
+    name: Slug
+    title: str
+    source: str
+    mass_kg: Positive
+    jaw_area_m2: Positive
+    spread: Spread
+    tissues: dict[Slug, TissueProfile] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _reserved_names(self) -> Self:
+        taken = {"unknown", "undecided"} & set(self.tissues)
+        if taken:
+            raise ValueError(f"{', '.join(sorted(taken))}: reserved, give the tissue another name")
+        return self
+
+    def spread_of(self, tissue: str) -> Spread:
+        return self.tissues[tissue].spread or self.spread
+
+    def threshold_n(self, tissue: str) -> float:
+        """Force at which injury begins: threshold pressure times jaw area, N."""
+        return self.tissues[tissue].threshold_pa * self.jaw_area_m2
+
+    @property
+    def lowest_threshold_n(self) -> float:
+        return min(self.threshold_n(name) for name in self.tissues)
+
+
+# --- protocols -------------------------------------------------------------------------------------------------------
+
+
+class Trapezoid(Model):
+    """Ramp up, hold, ramp down, rest, as motor command."""
+
+    shape: Literal["trapezoid"]
+    peak_v: Positive
+    ramp_up_s: Positive
+    hold_s: NonNegative
+    ramp_down_s: Positive
+    rest_s: Positive
+
+    @property
+    def grasp_s(self) -> float:
+        return self.ramp_up_s + self.hold_s + self.ramp_down_s
+
+    @property
+    def cycle_s(self) -> float:
+        return self.grasp_s + self.rest_s
+
+
+class Sine(Model):
+    """Raised cosine of force, A/2 (1 - cos 2 pi f t): the first cycle slow, the rest fast, then rest."""
+
+    shape: Literal["sine"]
+    peak_n: Positive
+    first_hz: Positive
+    then_hz: Positive
+    then_cycles: Annotated[int, Field(ge=0)]
+    rest_s: Positive
+
+    @property
+    def grasp_s(self) -> float:
+        return 1.0 / self.first_hz + self.then_cycles / self.then_hz
+
+    @property
+    def cycle_s(self) -> float:
+        return self.grasp_s + self.rest_s
+
+
+class Custom(Model):
+    """Straight lines between points of motor command over time; begins and ends at 0 V."""
+
+    shape: Literal["custom"]
+    time_s: tuple[NonNegative, ...] = Field(min_length=3)
+    command_v: tuple[NonNegative, ...] = Field(min_length=3)
+    rest_s: Positive
+
+    @model_validator(mode="after")
+    def _is_a_waveform(self) -> Self:
+        if len(self.time_s) != len(self.command_v):
+            raise ValueError("time_s and command_v need the same number of points")
+        if self.time_s[0] != 0 or any(np.diff(self.time_s) <= 0):
+            raise ValueError("time_s must begin at 0 and rise strictly")
+        if self.command_v[0] != 0 or self.command_v[-1] != 0:
+            raise ValueError("command_v must begin and end at 0")
+        return self
+
+    @property
+    def grasp_s(self) -> float:
+        return self.time_s[-1]
+
+    @property
+    def cycle_s(self) -> float:
+        return self.grasp_s + self.rest_s
+
+
+class Protocol(Model):
+    """A named waveform and how often it is repeated unless told otherwise."""
+
+    name: Slug
+    title: str
+    lead_in_s: NonNegative = 0.5
+    cycles: Annotated[int, Field(ge=1, le=10_000)] = 1
+    waveform: Annotated[Trapezoid | Sine | Custom, Field(discriminator="shape")]
+
+
+# --- the service -----------------------------------------------------------------------------------------------------
+
+
+class Server(Model):
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8000
+    frame_rate_hz: Annotated[float, Field(gt=0, le=100)] = 30.0
+    max_viewers: Annotated[int, Field(ge=1)] = 100
+    history_s: Positive = 10.0
+    chart_window_frames: Annotated[int, Field(ge=1)] = 8
+
+
+class Conditioning(Model):
+    """The paper's low-pass for what people look at: 2nd-order Butterworth at 10 Hz."""
+
+    butterworth_order: Annotated[int, Field(ge=1, le=8)] = 2
+    butterworth_cutoff_hz: Positive = 10.0
+
+
+class Identification(Model):
+    """When a tissue is named, and what is believed before any data."""
+
+    decide_at: Probability = 0.8
+    withdraw_below: Probability = 0.6
+    prior_unknown: Probability = 0.02
+    unknown_spread_log: Positive = 2.5
+    convergence_error: Probability = 0.15
+
+    @model_validator(mode="after")
+    def _hysteresis(self) -> Self:
+        if self.withdraw_below >= self.decide_at:
+            raise ValueError("withdraw_below must be lower than decide_at")
+        return self
+
+
+class Warnings(Model):
+    """Shares of the threshold in force at which low, medium and high warnings begin, and their hysteresis."""
+
+    low: Probability = 0.7
+    medium: Probability = 0.9
+    high: Annotated[float, Field(gt=0, le=1)] = 1.0
+    hysteresis: Probability = 0.05
+
+    @model_validator(mode="after")
+    def _rise(self) -> Self:
+        if not self.low < self.medium < self.high:
+            raise ValueError("low < medium < high must hold")
+        return self
+
+
+class Settings(Model):
+    """`graspwatch.toml`: everything of the service that is not a tool, a library or a protocol."""
+
+    tool: str = "simulated"
+    library: str = "porcine"
+    server: Server = Server()
+    conditioning: Conditioning = Conditioning()
+    identification: Identification = Identification()
+    warnings: Warnings = Warnings()
+

@@ -1,0 +1,1 @@
+"""From sample blocks to tissue parameters, probabilities and warnings."""
