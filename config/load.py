@@ -1,0 +1,110 @@
+"""Read configuration files by name or path; every fault of a file is told at once, with its place."""
+
+import difflib
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from config.errors import ConfigurationError
+from config.schema import Protocol, Settings, TissueLibrary, Tool
+
+CONFIG_DIR = Path(__file__).parent
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def load_settings(path: Path | None = None) -> Settings:
+    """The service's settings from `path`, or the shipped `graspwatch.toml`."""
+    return load_file(path or CONFIG_DIR / "graspwatch.toml", Settings)
+
+
+def load_tool(name: str) -> Tool:
+    return _load_named(name, "tools", "tool", Tool)
+
+
+def load_library(name: str) -> TissueLibrary:
+    return _load_named(name, "tissues", "tissue library", TissueLibrary)
+
+
+def load_protocol(name: str) -> Protocol:
+    return _load_named(name, "protocols", "protocol", Protocol)
+
+
+def available(folder: str) -> list[str]:
+    """Names of the shipped files in `tools`, `tissues` or `protocols`."""
+    return sorted(path.stem for path in (CONFIG_DIR / folder).glob("*.toml"))
+
+
+def choose(name: str, names: list[str], what: str) -> str:
+    """`name` if it is one of `names`.
+
+    Raises:
+        ConfigurationError: it is not; the text says what there is.
+    """
+    if name in names:
+        return name
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f" Did you mean {close[0]!r}?" if close else ""
+    raise ConfigurationError(f"There is no {what} {name!r}.{hint} There is: {', '.join(names)}.")
+
+
+def _load_named(name: str, folder: str, what: str, model: type[M]) -> M:
+    """A shipped file by its name, or any file by its path (recognised by `/` or `.toml`)."""
+    if name.endswith(".toml") or "/" in name:
+        return load_file(Path(name), model)
+    return load_file(CONFIG_DIR / folder / f"{choose(name, available(folder), what)}.toml", model)
+
+
+def load_file(path: Path, model: type[M]) -> M:
+    """Parse and validate one TOML file.
+
+    Raises:
+        ConfigurationError: the file is missing, is no TOML, or has faults; all faults are listed with their keys.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: there is no such file. Check the path.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read as a text file ({error}).") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{path}: is not valid TOML: {error}.") from None
+    try:  # through JSON: its strict mode takes arrays for tuples and strings for enums, but no "5" for 5
+        return model.model_validate_json(json.dumps(content, default=str))
+    except ValidationError as error:
+        raise ConfigurationError(describe_faults(str(path), error, model)) from None
+
+
+def describe_faults(where: str, error: ValidationError, model: type[BaseModel]) -> str:
+    """One line a fault: file, key, what is wrong, and the nearest valid key where a key is unknown."""
+    faults = [f"{where}: {_describe_fault(fault, model)}" for fault in error.errors()]
+    count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+    return "\n".join([f"{count} to mend:", *faults])
+
+
+def _describe_fault(fault: Any, model: type[BaseModel]) -> str:
+    place = ".".join(str(part) for part in fault["loc"]) or "(whole file)"
+    if fault["type"] != "extra_forbidden":
+        given = "" if fault["type"] == "missing" else f" (found {_shorten(fault['input'])})"
+        return f"{place}: {fault['msg']}{given}"
+    keys = sorted(_all_keys(model.model_json_schema()))
+    close = difflib.get_close_matches(str(fault["loc"][-1]), keys, n=1, cutoff=0.5)
+    return f"{place}: unknown key" + (f"; did you mean {close[0]!r}? Units stand in the names." if close else "")
+
+
+def _shorten(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _all_keys(schema: Any) -> set[str]:
+    """Every property name anywhere in a JSON schema."""
+    if isinstance(schema, list):
+        return set().union(*(_all_keys(item) for item in schema))
+    if not isinstance(schema, dict):
+        return set()
+    keys = set(schema.get("properties", {}))
+    return keys.union(*(_all_keys(value) for value in schema.values()))
