@@ -13,6 +13,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from config.schema import ToolKind
+
 SCHEMA_VERSION = 1
 
 # magic, kind, stride (reserved, 1), columns, rows, sequence, first_tick, newest_ms
@@ -29,12 +31,6 @@ class FrameKind(StrEnum):
 
 class Wire(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
-
-
-class ToolKind(StrEnum):
-    SIMULATED = "simulated"
-    NIDAQ = "nidaq"
-    RECORDING = "recording"
 
 
 class Phase(StrEnum):

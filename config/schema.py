@@ -131,9 +131,11 @@ class ContactDetection(Model):
     touch_threshold_v: Positive = 2.5
     force_rise_v: Positive
     force_rise_samples: Annotated[int, Field(ge=1)] = 8
-    wall_deg_per_volt: Positive
-    wall_force_v: Positive
-    slip_deg: Positive
+    wall_above_v: Positive
+    wall_span_v: Positive
+    wall_slack_deg_per_volt: Positive
+    slip_share: Probability
+    walk_deg: Positive
 
 
 class SimulatedGrasper(Model):

@@ -1,0 +1,116 @@
+"""From volts and degrees at the handle to newtons and metres at the jaws, Eqs. (1) to (6), and back.
+
+Both directions have a domain; outside it the result is flagged invalid and NaN, never clipped.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from config.schema import Geometry, Tool
+
+
+@dataclass(frozen=True, slots=True)
+class JawSignals:
+    """What the jaws do, each array of the shape of the input.
+
+    `newton_per_volt` and `metre_per_volt` say how strain noise enters force and displacement: the total derivatives
+    of both by the strain voltage at a fixed encoder reading, cable stretch included.
+    """
+
+    force_n: np.ndarray
+    displacement_m: np.ndarray
+    angle_rad: np.ndarray
+    newton_per_volt: np.ndarray
+    metre_per_volt: np.ndarray
+    valid: np.ndarray
+
+
+def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSignals:
+    """Jaw force and displacement from the tared strain voltage and the encoder angle since jaws at rest.
+
+    Args:
+        strain_v: tared strain gage voltage, V.
+        encoder_deg: encoder after the gearbox, zero at the grasp's start, degrees.
+
+    Source: Eqs. (1) to (6) with the geometry of Table I.
+    """
+    geometry, calibration = tool.geometry, tool.calibration
+    beta0 = np.radians(geometry.beta0_deg)
+    radian_per_encoder = np.radians(calibration.handle_per_encoder)
+    theta_handle = radian_per_encoder * (encoder_deg - calibration.encoder_deg_per_volt * strain_v)  # Eqs. (3)-(5)
+
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        tangent = np.tan(theta_handle)
+        rod = geometry.a_m * tangent  # p: how far the push rod has moved
+        left = geometry.l0_m - rod
+        numerator = 2 * geometry.l2_m * geometry.l0_m * np.cos(beta0) + rod**2 - 2 * geometry.l0_m * rod
+        cosine = numerator / (2 * geometry.l2_m * left)
+        angle = np.arccos(cosine)  # beta0 + theta_jaw; NaN outside its domain
+        theta_jaw = angle - beta0
+        crank = geometry.l2_m / geometry.l1_m * np.sin(angle)  # s of Eq. (2)
+
+        transmission = _transmission(geometry, angle, theta_jaw, crank)
+        gain = transmission * calibration.newton_per_volt * calibration.jaw_force_scale
+        force = gain * strain_v
+        displacement = geometry.l_jaw_m * np.sin(theta_jaw)  # Eq. (6)
+
+        cosine_by_rod = (numerator - 2 * left**2) / (2 * geometry.l2_m * left**2)
+        angle_by_volt = (
+            cosine_by_rod / np.sin(angle)  # the two minus signs of d(arccos) and of the stretch cancel
+            * geometry.a_m * (1 + tangent**2)
+            * radian_per_encoder * calibration.encoder_deg_per_volt
+        )  # fmt: skip
+        gain_by_angle = gain * (1 / np.tan(angle) - np.tan(theta_jaw))
+        newton_per_volt = gain + strain_v * gain_by_angle * angle_by_volt
+        metre_per_volt = geometry.l_jaw_m * np.cos(theta_jaw) * angle_by_volt
+
+        valid = (
+            (left > 0) & (np.abs(cosine) < 1) & (np.abs(crank) <= 1)
+            & (np.abs(theta_handle) < np.pi / 2) & (np.abs(theta_jaw) < np.pi / 2)
+        )  # fmt: skip
+    nothing = ~valid
+    for signal in (force, displacement, theta_jaw, newton_per_volt, metre_per_volt):
+        signal[nothing] = np.nan
+    return JawSignals(force, displacement, theta_jaw, newton_per_volt, metre_per_volt, valid)
+
+
+def _transmission(geometry: Geometry, angle: np.ndarray, theta_jaw: np.ndarray, crank: np.ndarray) -> np.ndarray:
+    """Jaw force for 1 N at the handle, Eq. (2) as printed; tan(asin s) cos(asin s) is s, the paper writes it out."""
+    rod_angle = np.arcsin(crank)
+    return (
+        geometry.l2_m * geometry.r_pp_m / (2 * geometry.l_jaw_m * geometry.a_m)
+        * (np.tan(rod_angle) * np.cos(rod_angle) + np.sin(angle))
+        * np.cos(theta_jaw)
+    )  # fmt: skip
+
+
+def from_jaw(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, float]:
+    """Tared strain voltage (V) and encoder angle (degrees) that give this jaw force and displacement: inverse of `to_jaw`.
+
+    Raises:
+        ValueError: the jaws cannot be there; the text gives the range.
+    """
+    geometry, calibration = tool.geometry, tool.calibration
+    beta0 = float(np.radians(geometry.beta0_deg))
+    reach = displacement_m / geometry.l_jaw_m
+    if not abs(reach) < 1:
+        raise ValueError(f"displacement {displacement_m} m is beyond the jaw's length of {geometry.l_jaw_m} m")
+    theta_jaw = float(np.arcsin(reach))
+    angle = beta0 + theta_jaw
+    crank = geometry.l2_m / geometry.l1_m * np.sin(angle)
+    if not (0 < angle < np.pi and abs(crank) <= 1):
+        raise ValueError(f"the linkage cannot reach a displacement of {displacement_m} m")
+    gain = float(_transmission(geometry, np.array(angle), np.array(theta_jaw), np.array(crank)))
+    strain_v = force_n / (gain * calibration.newton_per_volt * calibration.jaw_force_scale)
+
+    # Eq. (6) is a quadratic in the rod position p: p^2 + b p + c = 0; the smaller root is the one with p = 0 at rest
+    b = 2 * (geometry.l2_m * np.cos(angle) - geometry.l0_m)
+    c = 2 * geometry.l2_m * geometry.l0_m * (np.cos(beta0) - np.cos(angle))
+    discriminant = b * b - 4 * c
+    if discriminant < 0:
+        raise ValueError(f"the linkage cannot reach a displacement of {displacement_m} m")
+    rod = (-b - np.sqrt(discriminant)) / 2
+    theta_handle_deg = float(np.degrees(np.arctan(rod / geometry.a_m)))
+    encoder_deg = theta_handle_deg / calibration.handle_per_encoder + calibration.encoder_deg_per_volt * strain_v
+    return strain_v, encoder_deg

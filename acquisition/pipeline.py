@@ -1,0 +1,117 @@
+"""From a raw block to a published one: tare, filter, follow the grasp, calibrate."""
+
+import numpy as np
+
+from acquisition.blocks import SAMPLE, Flag, SampleBlock
+from acquisition.calibration import to_jaw
+from acquisition.conditioning import LowPass
+from acquisition.contact import COMMAND_ON_V, GraspTracker
+from acquisition.source import RawBlock
+from config.schema import Calibration, Conditioning, Tool
+
+TARE_SAMPLES = 200
+KEPT_DISPLACEMENTS = 8
+
+
+class Tare:
+    """The strain gage's rest voltage: the mean of the first samples at rest, or the tool file's until there are some."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._nominal_v = calibration.rest_offset_v
+        self._tolerance_v = calibration.rest_tolerance_v
+        self.restart()
+
+    def restart(self) -> None:
+        """Measure again from the next samples at rest."""
+        self._sum_v, self._count, self._over = 0.0, 0, False
+
+    @property
+    def rest_v(self) -> float:
+        return self._sum_v / self._count if self._count else self._nominal_v
+
+    @property
+    def measured(self) -> bool:
+        return self._count > 0
+
+    def update(self, strain_v: np.ndarray, command_v: np.ndarray) -> None:
+        """Take a block; the tare is fixed once enough samples came or the command left zero."""
+        if self._over:
+            return
+        moving = np.flatnonzero(command_v > COMMAND_ON_V)
+        at_rest = strain_v[: moving[0] if len(moving) else None]
+        plausible = at_rest[np.abs(at_rest - self._nominal_v) <= self._tolerance_v]
+        self._sum_v += float(plausible.sum())
+        self._count += len(plausible)
+        self._over = len(moving) > 0 or self._count >= TARE_SAMPLES
+
+
+class Pipeline:
+    """Conditions one source's blocks in their order; the result does not depend on how samples are cut into blocks."""
+
+    def __init__(self, tool: Tool, conditioning: Conditioning) -> None:
+        self._tool = tool
+        self._low_pass = LowPass(conditioning, tool.board.sample_rate_hz)
+        self._tracker = GraspTracker(tool.contact, tool.calibration.encoder_deg_per_volt)
+        self.tare = Tare(tool.calibration)
+        self._sequence = 0
+        self._displacements = np.full(KEPT_DISPLACEMENTS, np.nan)
+        self._contact_of = 0
+        self._contact_m = np.nan
+
+    def process(self, raw: RawBlock) -> SampleBlock:
+        """Calibrated, conditioned and segmented samples of one raw block."""
+        n = len(raw)
+        self.tare.update(raw.strain_v, raw.motor_command_v)
+        samples = np.zeros(n, SAMPLE)
+        samples["tick"] = raw.first_tick + np.arange(n)
+        for name in ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v"):
+            samples[name] = getattr(raw, name)
+
+        encoder_zero = self._segment(samples)
+        both = np.stack([raw.strain_v, raw.encoder_deg])
+        filtered = self._low_pass(both)
+        strain_v = np.stack([raw.strain_v, filtered[0]]) - self.tare.rest_v
+        encoder_deg = np.stack([raw.encoder_deg, filtered[1]]) - encoder_zero
+        jaw = to_jaw(self._tool, strain_v, encoder_deg)
+        samples["jaw_force_n"], samples["jaw_force_filtered_n"] = jaw.force_n
+        samples["jaw_displacement_m"], samples["jaw_displacement_filtered_m"] = jaw.displacement_m
+        samples["newton_per_volt"], samples["metre_per_volt"] = jaw.newton_per_volt[0], jaw.metre_per_volt[0]
+        samples["flags"][~jaw.valid[0]] |= np.uint16(Flag.INVALID)
+        limit_v = 0.999 * self._tool.channels.analog_range_v
+        samples["flags"][np.abs(raw.strain_v) >= limit_v] |= np.uint16(Flag.SATURATED)
+        samples["tissue_displacement_m"] = self._since_contact(samples)
+
+        self._sequence += 1
+        return SampleBlock(self._sequence, raw.t_mono_ns, raw.lost_samples, samples)
+
+    def _segment(self, samples: np.ndarray) -> np.ndarray:
+        """Follow the grasp sample by sample; returns the encoder's zero for each sample, degrees."""
+        threshold_v = self._tool.contact.touch_threshold_v
+        touched = ((samples["touch_1_v"] > threshold_v) | (samples["touch_2_v"] > threshold_v)).tolist()
+        strain_v = (samples["strain_v"] - self.tare.rest_v).tolist()
+        command_v, encoder_deg = samples["motor_command_v"].tolist(), samples["encoder_deg"].tolist()
+        first_tick = int(samples["tick"][0])
+        rows = []
+        for i in range(len(samples)):
+            flags = self._tracker.update(first_tick + i, command_v[i], strain_v[i], encoder_deg[i], touched[i])
+            grasp = self._tracker.grasp
+            contact, wall = (grasp.contact_tick, grasp.wall_tick) if flags else (-1, -1)
+            rows.append((grasp.index, grasp.start_tick, contact, wall, int(flags), grasp.encoder_zero_deg))
+        columns = np.array(rows).T
+        for name, column in zip(("grasp", "grasp_start_tick", "contact_tick", "wall_tick", "flags"), columns, strict=False):
+            samples[name] = column
+        return columns[5]
+
+    def _since_contact(self, samples: np.ndarray) -> np.ndarray:
+        """Jaw displacement since the first touch of the grasp under way, m; NaN while nothing is held."""
+        displacement = np.concatenate([self._displacements, samples["jaw_displacement_m"]])
+        self._displacements = displacement[-KEPT_DISPLACEMENTS:]
+        held = samples["contact_tick"] >= 0
+        result = np.full(len(samples), np.nan)
+        for i in np.flatnonzero(held):
+            if samples["grasp"][i] != self._contact_of:
+                back = int(samples["tick"][i] - samples["contact_tick"][i])
+                self._contact_of = int(samples["grasp"][i])
+                self._contact_m = float(displacement[KEPT_DISPLACEMENTS + i - back])
+            result[i] = samples["jaw_displacement_m"][i] - self._contact_m
+        return result

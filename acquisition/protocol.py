@@ -1,0 +1,67 @@
+"""The motor command over time that a protocol asks for."""
+
+import numpy as np
+
+from config.errors import RefusedError
+from config.schema import CommandToForce, Custom, Protocol, Sine, Tool, Trapezoid
+
+
+def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
+    """One grasp and its rest as motor command at the tool's sample rate, V, shape (n,); begins and ends at 0.
+
+    Raises:
+        RefusedError: the command would pass the tool's limit.
+    """
+    waveform = protocol.waveform
+    rate_hz = tool.board.sample_rate_hz
+    time_s = np.arange(round(waveform.cycle_s * rate_hz)) / rate_hz
+    match waveform:
+        case Trapezoid():
+            corners = np.cumsum([0.0, waveform.ramp_up_s, waveform.hold_s, waveform.ramp_down_s])
+            command = np.interp(time_s, corners, [0.0, waveform.peak_v, waveform.peak_v, 0.0])
+        case Custom():
+            command = np.interp(time_s, waveform.time_s, waveform.command_v)
+        case Sine():
+            command = _sine_command(waveform, tool.command_to_force, time_s)
+    peak_v = float(command.max())
+    if peak_v > tool.limits.max_command_v:
+        raise RefusedError(
+            f"Protocol {protocol.name!r} asks for {peak_v:.2f} V; the tool {tool.name!r} allows at most "
+            f"{tool.limits.max_command_v:.2f} V. Lower its peak or choose another protocol."
+        )
+    return command
+
+
+def _sine_command(waveform: Sine, command_to_force: CommandToForce, time_s: np.ndarray) -> np.ndarray:
+    """The command for a raised cosine of force: A/2 (1 - cos 2 pi f t), first slow, then fast."""
+    first_s = 1.0 / waveform.first_hz
+    cycles = np.where(time_s < first_s, time_s * waveform.first_hz, (time_s - first_s) * waveform.then_hz)
+    force = waveform.peak_n / 2 * (1 - np.cos(2 * np.pi * cycles))
+    return np.where(time_s < waveform.grasp_s, command_to_force.command(force), 0.0)
+
+
+class ProtocolPlayer:
+    """Plays a protocol a number of times, one command a call; `done` after the last rest."""
+
+    def __init__(self, protocol: Protocol, tool: Tool, cycles: int) -> None:
+        cycle = command_cycle(protocol, tool)
+        lead_in = round(protocol.lead_in_s * tool.board.sample_rate_hz)
+        duration_s = (lead_in + cycles * len(cycle)) / tool.board.sample_rate_hz
+        if duration_s > tool.limits.max_run_s:
+            raise RefusedError(
+                f"{cycles} cycles of {protocol.name!r} take {duration_s:.0f} s; the tool {tool.name!r} allows at most "
+                f"{tool.limits.max_run_s:.0f} s. Ask for fewer cycles."
+            )
+        self._cycle, self._lead_in, self._cycles = cycle, lead_in, cycles
+        self._at = 0
+
+    @property
+    def done(self) -> bool:
+        return self._at >= self._lead_in + self._cycles * len(self._cycle)
+
+    def advance(self, samples: int) -> float:
+        """The command for the next `samples` samples, V: that of the first of them; 0 once done."""
+        at, self._at = self._at - self._lead_in, self._at + samples
+        if at < 0 or at >= self._cycles * len(self._cycle):
+            return 0.0
+        return float(self._cycle[at % len(self._cycle)])

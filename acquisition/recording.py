@@ -1,0 +1,179 @@
+"""Recordings of the lab's LabVIEW program (`.lvm`, `.lvm.gz`) as a source of raw blocks."""
+
+import gzip
+import io
+import time
+import zlib
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from acquisition.source import RawBlock
+from config.errors import RecordingError
+from config.schema import Tool
+
+BLOCK_SAMPLES = 100
+END_OF_HEADER = "***End_of_Header***"
+ENCODER_HEADER = "Untitled"  # the lab's name for the counter channel
+
+
+def read_lvm(path: Path, tool: Tool) -> np.ndarray:
+    """Read a LabVIEW measurement file.
+
+    Returns:
+        Array of shape (n, 6): time s, strain V, motor command V, touch 1 V, touch 2 V, encoder degrees.
+
+    Raises:
+        RecordingError: missing, not such a file, wrong columns, a bad line, or a gap in time; names file and line.
+    """
+    lines = _read_lines(path)
+    headings_at = _find_headings(path, lines)
+    columns = _find_columns(path, lines[headings_at], headings_at + 1, tool)
+    body = [line for line in lines[headings_at + 1 :] if line.strip()]
+    if not body:
+        raise RecordingError(f"{path}: holds no samples: line {headings_at + 2} should be the first one.")
+    try:
+        table = np.loadtxt(io.StringIO("\n".join(body)), delimiter="\t", usecols=columns, ndmin=2)
+    except ValueError:
+        raise RecordingError(_first_bad_line(path, lines, headings_at, columns)) from None
+    if not np.isfinite(table).all():
+        raise RecordingError(_first_bad_line(path, lines, headings_at, columns))
+    _check_time(path, table[:, 0], headings_at, tool.board.sample_rate_hz)
+    return table
+
+
+def _read_lines(path: Path) -> list[str]:
+    try:
+        content = path.read_bytes()
+        if path.suffix == ".gz":
+            content = gzip.decompress(content)
+        text = content.decode("utf-8")
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: there is no such file. Check the path.") from None
+    except EOFError:
+        raise RecordingError(f"{path}: the compressed file is cut off before its end. Copy it again.") from None
+    except (gzip.BadGzipFile, zlib.error) as error:
+        raise RecordingError(f"{path}: is not a sound gzip file ({error}). Copy it again.") from None
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise RecordingError(f"{path}, line {line}: is binary; expected a LabVIEW measurement file (text).") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror}).") from None
+    if not text.strip():
+        raise RecordingError(f"{path}: is empty; expected a LabVIEW measurement file.")
+    return text.splitlines()
+
+
+def _find_headings(path: Path, lines: list[str]) -> int:
+    """Index of the line with the column names: the one after the second end of header."""
+    if not lines[0].startswith("LabVIEW Measurement"):
+        raise RecordingError(f"{path}, line 1: expected 'LabVIEW Measurement', found {lines[0][:40]!r}.")
+    ends = [i for i, line in enumerate(lines) if line.startswith(END_OF_HEADER)]
+    if len(ends) < 2 or ends[1] + 1 >= len(lines):
+        raise RecordingError(
+            f"{path}, line {len(lines)}: the file ends inside its header; expected two lines {END_OF_HEADER!r} "
+            "and then the column names."
+        )
+    if len(ends) > 2:
+        raise RecordingError(
+            f"{path}, line {ends[2] + 1}: a second measurement begins here; only one a file can be read. Split the file."
+        )
+    return ends[1] + 1
+
+
+def _find_columns(path: Path, headings: str, line: int, tool: Tool) -> list[int]:
+    """Column indices in the order time, strain, command, touch 1, touch 2, encoder."""
+    names = headings.split("\t")
+    channels, device = tool.channels, tool.board.device
+    analog = [channels.strain, channels.motor_command_readback, *channels.touch]
+    wanted = ["X_Value", *(f"{device}/{channel}" for channel in analog), ENCODER_HEADER]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise RecordingError(
+            f"{path}, line {line}: column {', '.join(map(repr, missing))} is missing; found "
+            f"{', '.join(name for name in names if name)}. The tool file {tool.name!r} names the channels."
+        )
+    return [names.index(name) for name in wanted]
+
+
+def _first_bad_line(path: Path, lines: list[str], headings_at: int, columns: list[int]) -> str:
+    for i, line in enumerate(lines[headings_at + 1 :], headings_at + 2):
+        if not line.strip():
+            continue
+        cells = line.split("\t")
+        if len(cells) <= max(columns):
+            return (
+                f"{path}, line {i}: expected {max(columns) + 1} columns, found {len(cells)}; "
+                "the file may be cut off. Delete the line if it is the last one."
+            )
+        for column in columns:
+            try:
+                sound = np.isfinite(float(cells[column]))
+            except ValueError:
+                sound = False
+            if not sound:
+                return f"{path}, line {i}, column {column + 1}: expected a number, found {cells[column][:40]!r}."
+    return f"{path}: cannot be read as a table of numbers."
+
+
+def _check_time(path: Path, time_s: np.ndarray, headings_at: int, rate_hz: float) -> None:
+    """Time must advance by whole samples; a forward jump is a gap (kept, counted), anything else is an error."""
+    steps = np.diff(time_s) * rate_hz
+    bad = np.flatnonzero((np.abs(steps - np.round(steps)) > 0.01) | (steps < 0.5))
+    if len(bad):
+        raise RecordingError(
+            f"{path}, line {headings_at + 3 + int(bad[0])}: time goes from {time_s[bad[0]]:.6f} to "
+            f"{time_s[bad[0] + 1]:.6f} s; expected steps of {1 / rate_hz:g} s."
+        )
+
+
+class Recording:
+    """A recording as a source; `speed` 1 plays it in real time, None as fast as it is read."""
+
+    def __init__(self, path: Path, tool: Tool, speed: float | None = None) -> None:
+        self.path = path
+        self._table = read_lvm(path, tool)
+        self._rate_hz = tool.board.sample_rate_hz
+        self._ticks = np.round((self._table[:, 0] - self._table[0, 0]) * self._rate_hz).astype(np.int64)
+        self._speed = speed
+        self._block = BLOCK_SAMPLES if speed is None else tool.board.block_samples
+        self._at = 0
+        self._started = 0.0
+
+    def __enter__(self) -> Self:
+        self._started = time.monotonic()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return
+
+    @property
+    def samples(self) -> int:
+        return len(self._table)
+
+    @property
+    def duration_s(self) -> float:
+        return float(self._ticks[-1] + 1) / self._rate_hz
+
+    def read_block(self) -> RawBlock | None:
+        """The next samples up to a gap; None at the end."""
+        if self._at >= len(self._table):
+            return None
+        end = min(self._at + self._block, len(self._table))
+        ticks = self._ticks[self._at : end]
+        whole = int(np.argmax(ticks - ticks[0] != np.arange(len(ticks)))) or len(ticks)
+        end = self._at + whole
+        lost = int(ticks[0] - self._ticks[self._at - 1] - 1) if self._at else 0
+        rows = self._table[self._at : end]
+        self._at = end
+        if self._speed is not None:
+            due = self._started + (int(ticks[0]) + whole) / self._rate_hz / self._speed
+            time.sleep(max(due - time.monotonic(), 0.0))
+        return RawBlock(int(ticks[0]), time.monotonic_ns(), rows[:, 1], rows[:, 5], *rows[:, 2:5].T, lost_samples=lost)
+
+    def write_command(self, command_v: float) -> None:
+        """A recording's motor has long stopped."""
