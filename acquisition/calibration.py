@@ -3,6 +3,7 @@
 Both directions have a domain; outside it the result is flagged invalid and NaN, never clipped.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,25 +93,26 @@ def from_jaw(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, 
         ValueError: the jaws cannot be there; the text gives the range.
     """
     geometry, calibration = tool.geometry, tool.calibration
-    beta0 = float(np.radians(geometry.beta0_deg))
+    beta0 = math.radians(geometry.beta0_deg)
     reach = displacement_m / geometry.l_jaw_m
     if not abs(reach) < 1:
         raise ValueError(f"displacement {displacement_m} m is beyond the jaw's length of {geometry.l_jaw_m} m")
-    theta_jaw = float(np.arcsin(reach))
+    theta_jaw = math.asin(reach)
     angle = beta0 + theta_jaw
-    crank = geometry.l2_m / geometry.l1_m * np.sin(angle)
-    if not (0 < angle < np.pi and abs(crank) <= 1):
+    crank = geometry.l2_m / geometry.l1_m * math.sin(angle)
+    if not (0 < angle < math.pi and abs(crank) <= 1):
         raise ValueError(f"the linkage cannot reach a displacement of {displacement_m} m")
-    gain = float(_transmission(geometry, np.array(angle), np.array(theta_jaw), np.array(crank)))
-    strain_v = force_n / (gain * calibration.newton_per_volt * calibration.jaw_force_scale)
+    lever = geometry.l2_m * geometry.r_pp_m / (2 * geometry.l_jaw_m * geometry.a_m)
+    gain = lever * (crank + math.sin(angle)) * math.cos(theta_jaw) * calibration.newton_per_volt
+    strain_v = force_n / (gain * calibration.jaw_force_scale)
 
     # Eq. (6) is a quadratic in the rod position p: p^2 + b p + c = 0; the smaller root is the one with p = 0 at rest
-    b = 2 * (geometry.l2_m * np.cos(angle) - geometry.l0_m)
-    c = 2 * geometry.l2_m * geometry.l0_m * (np.cos(beta0) - np.cos(angle))
+    b = 2 * (geometry.l2_m * math.cos(angle) - geometry.l0_m)
+    c = 2 * geometry.l2_m * geometry.l0_m * (math.cos(beta0) - math.cos(angle))
     discriminant = b * b - 4 * c
     if discriminant < 0:
         raise ValueError(f"the linkage cannot reach a displacement of {displacement_m} m")
-    rod = (-b - np.sqrt(discriminant)) / 2
-    theta_handle_deg = float(np.degrees(np.arctan(rod / geometry.a_m)))
+    rod = (-b - math.sqrt(discriminant)) / 2
+    theta_handle_deg = math.degrees(math.atan(rod / geometry.a_m))
     encoder_deg = theta_handle_deg / calibration.handle_per_encoder + calibration.encoder_deg_per_volt * strain_v
     return strain_v, encoder_deg

@@ -1,0 +1,267 @@
+"""The grasper behind an NI board, through NI's own package: the same code for the real board and the simulated one."""
+
+import contextlib
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import nidaqmx
+import numpy as np
+from nidaqmx.constants import AcquisitionType, EncoderType, TriggerType
+from nidaqmx.error_codes import DAQmxErrors
+from nidaqmx.errors import DaqError, DaqReadError, RpcError
+from nidaqmx.errors import Error as DaqBaseError
+from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
+from nidaqmx.stream_writers import AnalogSingleChannelWriter
+from nidaqmx.system import Device
+
+from acquisition.source import RawBlock
+from config.errors import RefusedError, ToolError
+from config.schema import Tool
+
+# DaqBaseError holds a missing driver, a failing board and a lost server; OSError comes from a driver that cannot load.
+_BOARD_ERRORS = (DaqBaseError, OSError)
+
+_PATIENCE_S = 1.0  # beyond the duration of a block
+_WRITE_TIMEOUT_S = 1.0
+
+_ADVICE = {
+    DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE: "This computer fetched the samples of {device} too late and some were "
+    "overwritten: close other programs, then start again.",
+    DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE: "{device} delivered only {got} of {wanted} samples in time: check that its "
+    "sample clock is not used elsewhere and that it is powered, then start again.",
+    DAQmxErrors.INVALID_DEVICE_ID: "There is no board named {device}: connect it, or set `device` under [board] in the "
+    "tool file to its name in NI MAX.",
+    DAQmxErrors.DEV_CANNOT_BE_ACCESSED: "{device} does not answer any more: check that it is seated and powered, then "
+    "start again.",
+    DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST: "{device} lacks a channel that [channels] in the tool file names: correct "
+    "the name there ({detail}).",
+    DAQmxErrors.PAL_RESOURCE_RESERVED: "Another program uses {device}: close it, then start again.",
+    DAQmxErrors.RESOURCE_ALREADY_RESERVED: "Another program uses {device}: close it, then start again.",
+}
+
+
+class NidaqTool:
+    """A `Source` on one NI board: hardware-clocked inputs, encoder on the same clock, on-demand motor command.
+
+    Samples are never bridged over: a late, short or failed read leaves the motor at zero and ends the tool, which then
+    has to be opened again. So `lost_samples` of its blocks is always 0.
+    """
+
+    def __init__(
+        self,
+        tool: Tool,
+        grpc_options: nidaqmx.GrpcSessionOptions | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """`grpc_options` leads to a simulated or remote board; without it the installed driver is used.
+
+        `clock` gives `t_mono_ns` of a block, the moment at which it had been read, ns.
+        """
+        self._tool = tool
+        self._grpc_options = grpc_options
+        self._clock = clock
+        self._tasks: list[nidaqmx.Task] = []
+        self._motor: AnalogSingleChannelWriter | None = None
+        self._next_tick = 0
+        self._wanted = tool.board.block_samples
+        self._timeout_s = self._wanted / tool.board.sample_rate_hz + _PATIENCE_S
+        self._analog_v = np.empty((4, self._wanted))
+        self._encoder_deg = np.empty(self._wanted)
+
+    def __enter__(self) -> Self:
+        """Open the board with the motor at zero and the sample clock running.
+
+        Raises:
+            ToolError: no driver, no such board or channel, or the board is in use.
+        """
+        try:
+            self._open_motor()
+            encoder = self._open_encoder()
+            analog = self._open_analog()
+            encoder.start()  # waits for the start of the analog inputs, which drive its clock
+            analog.start()
+        except _BOARD_ERRORS as error:
+            raise self._end(error) from error
+        except BaseException:
+            self._close()
+            raise
+        self._next_tick = 0
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._close():
+            raise ToolError(_switch_off(self._tool))
+
+    def read_block(self) -> RawBlock:
+        """The next `block_samples` samples.
+
+        Raises:
+            ToolError: a sample is late or lost, or the board failed; the motor has been commanded to zero.
+        """
+        if self._motor is None:
+            raise ToolError(_not_open(self._tool))
+        try:
+            got = self._analog_reader.read_many_sample(self._analog_v, self._wanted, self._timeout_s)
+            got = min(got, self._encoder_reader.read_many_sample_double(self._encoder_deg, self._wanted, self._timeout_s))
+        except _BOARD_ERRORS as error:
+            raise self._end(error) from error
+        except BaseException:  # interrupted between the two reads: the next pair would not belong together
+            self._close()
+            raise
+        if got < self._wanted:
+            raise self._end(DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, got))
+        analog_v = self._analog_v.copy()
+        block = RawBlock(
+            first_tick=self._next_tick,
+            t_mono_ns=self._clock(),
+            strain_v=analog_v[0],
+            encoder_deg=self._encoder_deg.copy(),
+            motor_command_v=analog_v[1],
+            touch_1_v=analog_v[2],
+            touch_2_v=analog_v[3],
+        )
+        self._next_tick += self._wanted
+        return block
+
+    def write_command(self, command_v: float) -> None:
+        """Set the motor command, V; it holds until the next write.
+
+        Raises:
+            RefusedError: the command is beyond the tool's limits or not a number; the motor is at zero.
+            ToolError: the board failed.
+        """
+        allowed = 0.0 <= command_v <= self._tool.limits.max_command_v  # False for NaN, too
+        self._write(command_v if allowed else 0.0)
+        if not allowed:
+            raise RefusedError(
+                f"A motor command of {command_v} V is outside 0 to {self._tool.limits.max_command_v} V; the motor is at "
+                "zero. Correct the protocol, or max_command_v under [limits] in the tool file."
+            )
+
+    def _write(self, command_v: float) -> None:
+        if self._motor is None:
+            raise ToolError(_not_open(self._tool))
+        try:
+            self._motor.write_one_sample(command_v, _WRITE_TIMEOUT_S)
+        except _BOARD_ERRORS as error:
+            raise self._end(error) from error
+
+    def _open_motor(self) -> None:
+        task = self._new_task()
+        task.ao_channels.add_ao_voltage_chan(
+            self._terminal(self._tool.channels.motor_command), min_val=0.0, max_val=self._tool.limits.max_command_v
+        )
+        task.start()  # a started task takes a write without the detour of starting and stopping itself
+        self._motor = AnalogSingleChannelWriter(task.out_stream, auto_start=False)
+        self._motor.write_one_sample(0.0, _WRITE_TIMEOUT_S)
+
+    def _open_encoder(self) -> nidaqmx.Task:
+        task = self._new_task()
+        calibration = self._tool.calibration
+        task.ci_channels.add_ci_ang_encoder_chan(
+            self._terminal(self._tool.channels.encoder),
+            decoding_type=EncoderType.X_4,
+            # pulses of one turn after the gearbox, so that degrees are those of the geometry's equations
+            pulses_per_rev=round(calibration.encoder_counts_per_rev * calibration.encoder_gear_ratio),
+        )
+        self._clock_samples(task, source="/" + self._terminal("ai/SampleClock"))
+        arm = task.triggers.arm_start_trigger
+        arm.trig_type = TriggerType.DIGITAL_EDGE
+        arm.dig_edge_src = "/" + self._terminal("ai/StartTrigger")
+        self._encoder_reader = CounterReader(task.in_stream)
+        self._encoder_reader.verify_array_shape = False  # asks the board again at every read
+        return task
+
+    def _open_analog(self) -> nidaqmx.Task:
+        task = self._new_task()
+        channels = self._tool.channels
+        for name in (channels.strain, channels.motor_command_readback, *channels.touch):
+            task.ai_channels.add_ai_voltage_chan(
+                self._terminal(name), min_val=-channels.analog_range_v, max_val=channels.analog_range_v
+            )
+        self._clock_samples(task, source="")
+        self._analog_reader = AnalogMultiChannelReader(task.in_stream)
+        self._analog_reader.verify_array_shape = False
+        return task
+
+    def _new_task(self) -> nidaqmx.Task:
+        task = nidaqmx.Task(grpc_options=self._grpc_options)
+        self._tasks.append(task)
+        return task
+
+    def _clock_samples(self, task: nidaqmx.Task, source: str) -> None:
+        rate_hz = self._tool.board.sample_rate_hz
+        task.timing.cfg_samp_clk_timing(rate_hz, source=source, sample_mode=AcquisitionType.CONTINUOUS)
+
+    def _terminal(self, name: str) -> str:
+        return f"{self._tool.board.device}/{name}"
+
+    def _end(self, error: Exception) -> ToolError:
+        """Close with the motor at zero, and put `error` into words."""
+        wanted_zero = self._motor is not None
+        text = _explain(error, self._tool)
+        if not self._close():
+            return ToolError(f"{text} {_switch_off(self._tool)}")
+        return ToolError(f"{text} The motor is at zero." if wanted_zero else text)
+
+    def _close(self) -> bool:
+        """Motor to zero, then give the board back; False if the motor could not be commanded to zero."""
+        is_zero = self._zero_motor()
+        self._motor = None
+        tasks, self._tasks = self._tasks, []
+        for task in tasks:
+            # With the motor settled, a task that does not close leaves the board reserved: the next start says so.
+            with contextlib.suppress(*_BOARD_ERRORS):
+                task.close()
+        return is_zero
+
+    def _zero_motor(self) -> bool:
+        if self._motor is None:
+            return True
+        with contextlib.suppress(*_BOARD_ERRORS):
+            self._motor.write_one_sample(0.0, _WRITE_TIMEOUT_S)
+            return True
+        with contextlib.suppress(ToolError):  # an aborted task takes no more writes, but a reset zeroes as well
+            reset_device(self._tool, self._grpc_options)
+            return True
+        return False
+
+
+def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> None:
+    """Abort whatever runs on the tool's board and put its outputs to 0 V, for when the worker that had it is dead.
+
+    Raises:
+        ToolError: the board could not be reset; the motor may still be driven.
+    """
+    try:
+        Device(tool.board.device, grpc_options=grpc_options).reset_device()
+    except _BOARD_ERRORS as error:
+        raise ToolError(f"{_explain(error, tool)} {_switch_off(tool)}") from error
+
+
+def _explain(error: Exception, tool: Tool) -> str:
+    device = tool.board.device
+    if isinstance(error, RpcError):
+        return f"Lost the connection to the server of {device} ({error.description}): start the server, then start again."
+    if not isinstance(error, DaqError):
+        return (
+            "NI-DAQmx, the driver of the board, is missing here or too old: install NI-DAQmx from ni.com, "
+            "or run with `--tool simulated`, which needs no driver."
+        )
+    detail = str(error).partition("\n")[0]
+    general = "{device} failed: {detail} Test it in NI MAX, then start again."
+    got = error.samps_per_chan_read if isinstance(error, DaqReadError) else 0
+    advice = _ADVICE.get(error.error_type, general)
+    return advice.format(device=device, detail=detail, got=got, wanted=tool.board.block_samples)
+
+
+def _switch_off(tool: Tool) -> str:
+    return f"{tool.board.device} could not be commanded to zero: switch off the motor's amplifier NOW."
+
+
+def _not_open(tool: Tool) -> str:
+    return f"{tool.board.device} is not open (any more): open the tool again first."

@@ -1,0 +1,296 @@
+"""A simulated PCI-6230: its clock, tasks with their sample buffers, and outputs that hold. No gRPC in here."""
+
+import math
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import Protocol
+
+from nidaqmx.error_codes import DAQmxErrors
+
+from config.schema import Tool
+
+
+class Clock(Protocol):
+    def now_ns(self) -> int: ...
+
+    def sleep_until_ns(self, wake_ns: int) -> None: ...
+
+
+class RealClock:
+    """The machine's monotonic clock."""
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def sleep_until_ns(self, wake_ns: int) -> None:
+        while (left_ns := wake_ns - time.monotonic_ns()) > 0:
+            time.sleep(left_ns * 1e-9)
+
+
+class VirtualClock:
+    """Stands still until somebody sleeps on it, then jumps exactly that far; for one client in this process."""
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def sleep_until_ns(self, wake_ns: int) -> None:
+        self._now_ns = max(self._now_ns, wake_ns)
+
+
+class Plant(Protocol):
+    """What is wired to the board."""
+
+    def step(self, command_v: float) -> tuple[float, float, float, float]:
+        """One sample period under a held motor command: strain_v, encoder_deg, touch_1_v, touch_2_v at its end."""
+        ...
+
+
+class BoardError(Exception):
+    """A DAQmx call that the board answers with an error code."""
+
+    def __init__(self, code: DAQmxErrors, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class Kind(Enum):
+    ANALOG_IN = auto()
+    ENCODER = auto()
+    ANALOG_OUT = auto()
+
+
+class State(Enum):
+    STOPPED = auto()
+    RUNNING = auto()
+    OVERRUN = auto()
+    ABORTED = auto()
+
+
+Sample = tuple[float, float, float, float, float]  # strain, readback, touch 1, touch 2 in V; encoder in deg
+
+
+@dataclass(slots=True, eq=False)
+class Task:
+    """One DAQmx task; `samples` are those that nobody has read yet."""
+
+    name: str
+    kind: Kind | None = None
+    channels: list[str] = field(default_factory=list)
+    columns: list[int] = field(default_factory=list)
+    rate_hz: float = 0.0
+    clock_source: str = ""
+    arm_trigger: str = ""
+    degrees_per_count: float = 0.0
+    output_range_v: tuple[float, float] = (0.0, 0.0)
+    state: State = State.STOPPED
+    armed: bool = False
+    samples: deque[Sample] = field(default_factory=deque)
+
+
+class SimulatedBoard:
+    """State of the board, safe to call from several threads. Every method raises BoardError as DAQmx would.
+
+    The plant lives in steps of the sample clock, and only while that runs: what nobody samples is not simulated.
+    """
+
+    def __init__(self, tool: Tool, plant: Plant, clock: Clock | None = None, buffer_samples: int = 10_000) -> None:
+        """`buffer_samples` defaults to what DAQmx allots at 1 kHz, 10 s."""
+        self.clock = clock or RealClock()
+        self._plant = plant
+        self._device = tool.board.device
+        self._buffer_samples = buffer_samples
+        self._encoder_resolution_deg = tool.calibration.encoder_resolution_deg
+        wired = tool.channels
+        self._wired = {
+            Kind.ANALOG_IN: (wired.strain, wired.motor_command_readback, *wired.touch),  # in the order of a Sample
+            Kind.ENCODER: (wired.encoder,),
+            Kind.ANALOG_OUT: (wired.motor_command,),
+        }
+        self._analog_clock = f"/{self._device}/ai/SampleClock"
+        self._analog_start = f"/{self._device}/ai/StartTrigger"
+        self._lock = threading.RLock()
+        self._tasks: dict[str, Task] = {}
+        self._names = 0
+        self._output_v = 0.0
+        self._sampling: Task | None = None  # the analog input task, whose clock is everybody's
+        self._started_ns = 0
+        self._period_ns = 0
+        self._produced = 0
+        self._clock_edges_left: float = math.inf
+
+    @property
+    def output_v(self) -> float:
+        """What the motor command output holds, V."""
+        return self._output_v
+
+    @property
+    def task_names(self) -> list[str]:
+        return list(self._tasks)
+
+    # --- life of a task ----------------------------------------------------------------------------------------------
+
+    def create_task(self, name: str) -> str:
+        with self._lock:
+            self._names += 1
+            name = name or f"_unnamedTask<{self._names}>"
+            if name in self._tasks:
+                raise BoardError(DAQmxErrors.DUPLICATE_TASK, f"Task {name} exists already.")
+            self._tasks[name] = Task(name)
+            return name
+
+    def task(self, name: str) -> Task:
+        task = self._tasks.get(name)
+        if task is None:
+            raise BoardError(DAQmxErrors.INVALID_TASK, f"Task {name} does not exist.")
+        return task
+
+    def add_channel(self, name: str, kind: Kind, physical: str) -> Task:
+        """Add `physical`, e.g. `Dev1/ai0`, to the task and return the task."""
+        device, _, channel = physical.partition("/")
+        if device != self._device:
+            raise BoardError(DAQmxErrors.INVALID_DEVICE_ID, f"Device identifier is invalid: {device}")
+        if channel not in self._wired[kind]:
+            raise BoardError(DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST, f"Physical channel does not exist: {physical}")
+        task = self.task(name)
+        task.kind = kind
+        task.channels.append(physical)
+        task.columns.append(self._wired[kind].index(channel))
+        return task
+
+    def start_task(self, name: str) -> None:
+        with self._lock:
+            task = self.task(name)
+            if task.kind is None:
+                raise BoardError(DAQmxErrors.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, f"Task {name} has no channels.")
+            if any(other.kind is task.kind and other.state is State.RUNNING for other in self._tasks.values()):
+                raise BoardError(DAQmxErrors.PAL_RESOURCE_RESERVED, "The specified resource is reserved.")
+            self._advance()
+            task.samples.clear()
+            task.state = State.RUNNING
+            if task.kind is Kind.ANALOG_IN:
+                self._start_sample_clock(task)
+            else:
+                # without the analog clock it is never sampled; a start trigger that has passed does not come again
+                task.armed = task.clock_source == self._analog_clock and not task.arm_trigger
+
+    def stop_task(self, name: str) -> None:
+        with self._lock:
+            self._advance()
+            task = self.task(name)
+            task.state = State.STOPPED
+            task.armed = False
+
+    def clear_task(self, name: str) -> None:
+        with self._lock:
+            self.stop_task(name)
+            del self._tasks[name]
+
+    def reset_device(self, device: str) -> None:
+        """Abort all tasks and put the output to 0 V."""
+        if device != self._device:
+            raise BoardError(DAQmxErrors.INVALID_DEVICE_ID, f"Device identifier is invalid: {device}")
+        with self._lock:
+            self._advance()
+            for task in self._tasks.values():
+                task.state = State.ABORTED
+            self._output_v = 0.0
+            self._clock_edges_left = math.inf
+
+    # --- samples -----------------------------------------------------------------------------------------------------
+
+    def write_output(self, name: str, volts: float, auto_start: bool) -> None:
+        with self._lock:
+            task = self.task(name)
+            if task.state is not State.RUNNING and not auto_start:
+                raise BoardError(DAQmxErrors.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING, f"{name} is not running.")
+            low_v, high_v = task.output_range_v
+            if not low_v <= volts <= high_v:
+                raise BoardError(DAQmxErrors.INVALID_AO_DATA_WRITE, f"{volts} V is outside {low_v} to {high_v} V.")
+            self._advance()  # up to now the old value held
+            self._output_v = volts
+
+    def read_analog(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
+        """Up to `count` samples per channel, channel after channel, and how many there are: fewer after a time-out."""
+        samples = self._read(name, count, timeout_s)
+        return [sample[column] for column in self.task(name).columns for sample in samples], len(samples)
+
+    def read_encoder(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
+        """As `read_analog`, in degrees as the task was told to scale the counts."""
+        samples = self._read(name, count, timeout_s)
+        scale, resolution_deg = self.task(name).degrees_per_count, self._encoder_resolution_deg
+        return [round(sample[4] / resolution_deg) * scale for sample in samples], len(samples)
+
+    def cut_sample_clock(self, after: int) -> None:
+        """A fault: `after` samples from now the sample clock ends, until the device is reset."""
+        with self._lock:
+            self._advance()
+            self._clock_edges_left = after
+
+    def _read(self, name: str, count: int, timeout_s: float) -> list[Sample]:
+        with self._lock:
+            self._advance()
+            task = self._readable(name)
+            wake_ns = min(self._ready_ns(task, count), self.clock.now_ns() + round(timeout_s * 1e9))
+        self.clock.sleep_until_ns(wake_ns)  # without the lock: a real board takes an output while a read waits
+        with self._lock:
+            self._advance()
+            samples = self._readable(name).samples
+            return [samples.popleft() for _ in range(min(count, len(samples)))]
+
+    def _readable(self, name: str) -> Task:
+        task = self.task(name)
+        if task.state is State.OVERRUN:
+            raise BoardError(DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE, "The samples are no longer available.")
+        if task.state is not State.RUNNING:
+            raise BoardError(DAQmxErrors.OPERATION_ABORTED, f"{name} was stopped or aborted.")
+        return task
+
+    def _ready_ns(self, task: Task, count: int) -> float:
+        """When the task will hold `count` samples: never, where its clock does not come."""
+        missing = count - len(task.samples)
+        if missing <= 0:
+            return self.clock.now_ns()
+        if not (self._clock_runs and task.armed) or missing > self._clock_edges_left:
+            return math.inf
+        return self._started_ns + (self._produced + missing) * self._period_ns
+
+    @property
+    def _clock_runs(self) -> bool:
+        return self._sampling is not None and self._sampling.state is State.RUNNING
+
+    def _start_sample_clock(self, task: Task) -> None:
+        self._sampling = task
+        self._started_ns = self.clock.now_ns()
+        self._period_ns = round(1e9 / task.rate_hz)
+        self._produced = 0
+        task.armed = True
+        for other in self._tasks.values():
+            if other.state is State.RUNNING and other.clock_source == self._analog_clock:
+                other.armed = other.arm_trigger in ("", self._analog_start)
+
+    def _advance(self) -> None:
+        """Let the plant live up to now, sample by sample, under the output that held meanwhile."""
+        if not self._clock_runs:
+            return
+        due = min((self.clock.now_ns() - self._started_ns) // self._period_ns - self._produced, self._clock_edges_left)
+        if due <= 0:
+            return
+        self._produced += due
+        self._clock_edges_left -= due
+        clocked = [task for task in self._tasks.values() if task.armed and task.state is State.RUNNING]
+        queues = [task.samples for task in clocked]
+        step, command_v = self._plant.step, self._output_v
+        for _ in range(min(due, self._buffer_samples + 1)):  # past an overrun nobody can read any more
+            strain_v, encoder_deg, touch_1_v, touch_2_v = step(command_v)
+            sample = (strain_v, command_v, touch_1_v, touch_2_v, encoder_deg)
+            for queue in queues:
+                queue.append(sample)
+        for task in clocked:
+            if len(task.samples) > self._buffer_samples:
+                task.state = State.OVERRUN

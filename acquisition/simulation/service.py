@@ -1,0 +1,227 @@
+"""The simulated board behind nidaqmx's own gRPC interface: in this process without a socket, or over TCP."""
+
+import functools
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, NoReturn
+
+import grpc
+import nidaqmx
+from nidaqmx._stubs import nidaqmx_pb2 as pb
+from nidaqmx._stubs.nidaqmx_pb2_grpc import NiDAQmxServicer, add_NiDAQmxServicer_to_server
+from nidaqmx.constants import EncoderType
+from nidaqmx.error_codes import DAQmxErrors
+
+from acquisition.simulation.board import BoardError, Kind, SimulatedBoard
+
+_DRIVER_VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}  # attributes of the system: major, minor, update
+_ARM_START_SOURCE = 0x1417
+_TASK_CHANNELS = 0x1273
+_COUNTS_PER_PULSE = {EncoderType.X_1.value: 1, EncoderType.X_2.value: 2, EncoderType.X_4.value: 4}
+
+
+def in_process_options(board: SimulatedBoard) -> nidaqmx.GrpcSessionOptions:
+    """What to give to nidaqmx, or to `NidaqTool`, to reach `board` by plain function calls."""
+    return nidaqmx.GrpcSessionOptions(InProcessChannel(BoardService(board)), "")
+
+
+def serve_tcp(board: SimulatedBoard, address: str = "127.0.0.1:0") -> tuple[grpc.Server, int]:
+    """Serve `board` at `address`; returns the running server and its port.
+
+    Raises:
+        RuntimeError: the address is taken.
+    """
+    server = grpc.server(ThreadPoolExecutor(max_workers=4, thread_name_prefix="simulated-board"))
+    add_NiDAQmxServicer_to_server(BoardService(board), server)
+    port = server.add_insecure_port(address)
+    server.start()
+    return server, port
+
+
+def _answers(method: Callable[[Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
+    """Turn a BoardError into the status and metadata in which nidaqmx looks for the error code."""
+
+    @functools.wraps(method)
+    def answer(service: Any, request: Any, context: Any) -> Any:
+        try:
+            return method(service, request)
+        except BoardError as error:
+            context.set_trailing_metadata((("ni-error", str(int(error.code))),))
+            context.abort(grpc.StatusCode.UNKNOWN, str(error))
+
+    return answer
+
+
+class BoardService(NiDAQmxServicer):
+    """The DAQmx calls that the driver needs; any other is answered with UNIMPLEMENTED by the base class."""
+
+    def __init__(self, board: SimulatedBoard) -> None:
+        self._board = board
+
+    @_answers
+    def GetSystemInfoAttributeUInt32(self, request):
+        return pb.GetSystemInfoAttributeUInt32Response(value=_DRIVER_VERSION.get(request.attribute_raw, 0))
+
+    @_answers
+    def CreateTask(self, request):
+        response = pb.CreateTaskResponse(new_session_initialized=True)
+        response.task.name = self._board.create_task(request.session_name)
+        return response
+
+    @_answers
+    def GetTaskAttributeString(self, request):
+        task = self._board.task(request.task.name)
+        value = ", ".join(task.channels) if request.attribute_raw == _TASK_CHANNELS else task.name
+        return pb.GetTaskAttributeStringResponse(value=value)
+
+    @_answers
+    def GetReadAttributeUInt32(self, request):
+        return pb.GetReadAttributeUInt32Response(value=len(self._board.task(request.task.name).channels))
+
+    @_answers
+    def CreateAIVoltageChan(self, request):
+        self._board.add_channel(request.task.name, Kind.ANALOG_IN, request.physical_channel)
+        return pb.CreateAIVoltageChanResponse()
+
+    @_answers
+    def CreateAOVoltageChan(self, request):
+        task = self._board.add_channel(request.task.name, Kind.ANALOG_OUT, request.physical_channel)
+        task.output_range_v = (request.min_val, request.max_val)
+        return pb.CreateAOVoltageChanResponse()
+
+    @_answers
+    def CreateCIAngEncoderChan(self, request):
+        task = self._board.add_channel(request.task.name, Kind.ENCODER, request.counter)
+        counts_per_turn = request.pulses_per_rev * _COUNTS_PER_PULSE[request.decoding_type_raw]
+        task.degrees_per_count = 360.0 / counts_per_turn
+        return pb.CreateCIAngEncoderChanResponse()
+
+    @_answers
+    def CfgSampClkTiming(self, request):
+        task = self._board.task(request.task.name)
+        task.rate_hz, task.clock_source = request.rate, request.source
+        return pb.CfgSampClkTimingResponse()
+
+    @_answers
+    def SetTrigAttributeInt32(self, request):
+        return pb.SetTrigAttributeInt32Response()  # kind and edge of the trigger: there is only one of each here
+
+    @_answers
+    def SetTrigAttributeString(self, request):
+        if request.attribute_raw == _ARM_START_SOURCE:
+            self._board.task(request.task.name).arm_trigger = request.value
+        return pb.SetTrigAttributeStringResponse()
+
+    @_answers
+    def StartTask(self, request):
+        self._board.start_task(request.task.name)
+        return pb.StartTaskResponse()
+
+    @_answers
+    def StopTask(self, request):
+        self._board.stop_task(request.task.name)
+        return pb.StopTaskResponse()
+
+    @_answers
+    def ClearTask(self, request):
+        self._board.clear_task(request.task.name)
+        return pb.ClearTaskResponse()
+
+    @_answers
+    def ResetDevice(self, request):
+        self._board.reset_device(request.device_name)
+        return pb.ResetDeviceResponse()
+
+    @_answers
+    def ReadAnalogF64(self, request):
+        wanted = request.num_samps_per_chan
+        values, got = self._board.read_analog(request.task.name, wanted, request.timeout)
+        return pb.ReadAnalogF64Response(read_array=values, samps_per_chan_read=got, status=_read_status(got, wanted))
+
+    @_answers
+    def ReadCounterF64Ex(self, request):
+        wanted = request.num_samps_per_chan
+        values, got = self._board.read_encoder(request.task.name, wanted, request.timeout)
+        return pb.ReadCounterF64ExResponse(read_array=values, samps_per_chan_read=got, status=_read_status(got, wanted))
+
+    @_answers
+    def WriteAnalogScalarF64(self, request):
+        self._board.write_output(request.task.name, request.value, request.auto_start)
+        return pb.WriteAnalogScalarF64Response()
+
+
+def _read_status(got: int, wanted: int) -> int:
+    """A time-out is no gRPC error but a status, because it brings the samples that did come."""
+    return 0 if got == wanted else DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE
+
+
+class _Metadatum(NamedTuple):
+    key: str
+    value: str
+
+
+class InProcessError(grpc.RpcError):
+    """What `grpc.RpcError` is over a socket: status, text and trailing metadata."""
+
+    def __init__(self, status: grpc.StatusCode, text: str, metadata: tuple[_Metadatum, ...] = ()) -> None:
+        super().__init__(text)
+        self._status, self._text, self._metadata = status, text, metadata
+
+    def code(self) -> grpc.StatusCode:
+        return self._status
+
+    def details(self) -> str:
+        return self._text
+
+    def trailing_metadata(self) -> tuple[_Metadatum, ...]:
+        return self._metadata
+
+
+class _InProcessContext:
+    """As much of `grpc.ServicerContext` as `_answers` uses."""
+
+    _metadata: tuple[_Metadatum, ...] = ()
+
+    def set_trailing_metadata(self, metadata: Iterable[tuple[str, str]]) -> None:
+        self._metadata = tuple(_Metadatum(*pair) for pair in metadata)
+
+    def abort(self, status: grpc.StatusCode, text: str) -> NoReturn:
+        raise InProcessError(status, text, self._metadata)
+
+
+class InProcessChannel(grpc.Channel):
+    """Calls the service's methods with the request objects themselves: no socket, no thread, no serialisation."""
+
+    def __init__(self, service: BoardService) -> None:
+        self._service = service
+
+    def unary_unary(self, method: str, *_: Any, **__: Any) -> Callable[..., Any]:
+        name = method.rpartition("/")[2]
+        call = getattr(self._service, name) if name in vars(BoardService) else None
+
+        def invoke(request: Any, timeout: float | None = None, metadata: Any = None) -> Any:
+            if call is None:
+                raise InProcessError(grpc.StatusCode.UNIMPLEMENTED, f"The simulated board does not know {name}.")
+            return call(request, _InProcessContext())
+
+        return invoke
+
+    def unary_stream(self, method: str, *_: Any, **__: Any) -> Callable[..., Any]:
+        return self.unary_unary(method)  # streams carry DAQmx events, none of which the service knows
+
+    stream_unary = stream_stream = unary_stream
+
+    def subscribe(self, callback: Any, try_to_connect: bool | None = False) -> None:
+        """The connection never changes."""
+
+    def unsubscribe(self, callback: Any) -> None:
+        """See `subscribe`."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def __enter__(self) -> "InProcessChannel":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
