@@ -117,7 +117,17 @@ class GraspTracker:
         rises = self._recent[-1][1] > grasp.baseline_v + detection.force_rise_v
         grasp.rising = grasp.rising + 1 if rises else 0
         if grasp.rising >= detection.force_rise_samples:
-            grasp.contact_tick = tick
+            grasp.contact_tick = max(tick - self._samples_since_onset(), grasp.start_tick)
+
+    def _samples_since_onset(self) -> int:
+        """How many of the last samples lie above half the rise that tells contact."""
+        onset_v = self.grasp.baseline_v + self._detection.force_rise_v / 2
+        count = 0
+        for _, strain_v, _ in reversed(self._recent):
+            if strain_v <= onset_v:
+                break
+            count += 1
+        return count
 
     def _watch_loading(self, tick: int) -> None:
         """Compare the encoder's advance with the cable's stretch over the last rise of strain."""

@@ -26,19 +26,19 @@ _BOARD_ERRORS = (DaqBaseError, OSError)
 _PATIENCE_S = 1.0  # beyond the duration of a block
 _WRITE_TIMEOUT_S = 1.0
 
+_IN_USE = "Another program uses {device}: close it, then start again."
 _ADVICE = {
-    DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE: "This computer fetched the samples of {device} too late and some were "
-    "overwritten: close other programs, then start again.",
-    DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE: "{device} delivered only {got} of {wanted} samples in time: check that its "
-    "sample clock is not used elsewhere and that it is powered, then start again.",
+    DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE: "Samples of {device} were overwritten before this computer fetched them: "
+    "close other programs, then start again.",
+    DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE: "{device} delivered only {got} of {wanted} samples in time: check that "
+    "nothing else uses its sample clock, then start again.",
     DAQmxErrors.INVALID_DEVICE_ID: "There is no board named {device}: connect it, or set `device` under [board] in the "
     "tool file to its name in NI MAX.",
-    DAQmxErrors.DEV_CANNOT_BE_ACCESSED: "{device} does not answer any more: check that it is seated and powered, then "
-    "start again.",
-    DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST: "{device} lacks a channel that [channels] in the tool file names: correct "
-    "the name there ({detail}).",
-    DAQmxErrors.PAL_RESOURCE_RESERVED: "Another program uses {device}: close it, then start again.",
-    DAQmxErrors.RESOURCE_ALREADY_RESERVED: "Another program uses {device}: close it, then start again.",
+    DAQmxErrors.DEV_CANNOT_BE_ACCESSED: "{device} no longer answers: check its seat and power, then start again.",
+    DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST: "{device} lacks a channel that the tool file names under [channels]: "
+    "correct it there ({detail}).",
+    DAQmxErrors.PAL_RESOURCE_RESERVED: _IN_USE,
+    DAQmxErrors.RESOURCE_ALREADY_RESERVED: _IN_USE,
 }
 
 
@@ -65,10 +65,10 @@ class NidaqTool:
         self._tasks: list[nidaqmx.Task] = []
         self._motor: AnalogSingleChannelWriter | None = None
         self._next_tick = 0
-        self._wanted = tool.board.block_samples
-        self._timeout_s = self._wanted / tool.board.sample_rate_hz + _PATIENCE_S
-        self._analog_v = np.empty((4, self._wanted))
-        self._encoder_deg = np.empty(self._wanted)
+        self._block_samples = tool.board.block_samples
+        self._timeout_s = self._block_samples / tool.board.sample_rate_hz + _PATIENCE_S
+        self._analog_v = np.empty((4, self._block_samples))
+        self._encoder_deg = np.empty(self._block_samples)
 
     def __enter__(self) -> Self:
         """Open the board with the motor at zero and the sample clock running.
@@ -83,7 +83,7 @@ class NidaqTool:
             encoder.start()  # waits for the start of the analog inputs, which drive its clock
             analog.start()
         except _BOARD_ERRORS as error:
-            raise self._end(error) from error
+            raise self._fail(error) from error
         except BaseException:
             self._close()
             raise
@@ -102,18 +102,18 @@ class NidaqTool:
         Raises:
             ToolError: a sample is late or lost, or the board failed; the motor has been commanded to zero.
         """
-        if self._motor is None:
-            raise ToolError(_not_open(self._tool))
+        self._opened()
+        n = self._block_samples
         try:
-            got = self._analog_reader.read_many_sample(self._analog_v, self._wanted, self._timeout_s)
-            got = min(got, self._encoder_reader.read_many_sample_double(self._encoder_deg, self._wanted, self._timeout_s))
+            got_v = self._analog_reader.read_many_sample(self._analog_v, n, self._timeout_s)
+            got_deg = self._encoder_reader.read_many_sample_double(self._encoder_deg, n, self._timeout_s)
         except _BOARD_ERRORS as error:
-            raise self._end(error) from error
+            raise self._fail(error) from error
         except BaseException:  # interrupted between the two reads: the next pair would not belong together
             self._close()
             raise
-        if got < self._wanted:
-            raise self._end(DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, got))
+        if min(got_v, got_deg) < n:
+            raise self._fail(DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, min(got_v, got_deg)))
         analog_v = self._analog_v.copy()
         block = RawBlock(
             first_tick=self._next_tick,
@@ -124,7 +124,7 @@ class NidaqTool:
             touch_1_v=analog_v[2],
             touch_2_v=analog_v[3],
         )
-        self._next_tick += self._wanted
+        self._next_tick += n
         return block
 
     def write_command(self, command_v: float) -> None:
@@ -138,17 +138,21 @@ class NidaqTool:
         self._write(command_v if allowed else 0.0)
         if not allowed:
             raise RefusedError(
-                f"A motor command of {command_v} V is outside 0 to {self._tool.limits.max_command_v} V; the motor is at "
-                "zero. Correct the protocol, or max_command_v under [limits] in the tool file."
+                f"{command_v} V is no motor command between 0 and {self._tool.limits.max_command_v} V; the motor is at "
+                "zero: correct the protocol, or max_command_v under [limits] in the tool file."
             )
 
     def _write(self, command_v: float) -> None:
-        if self._motor is None:
-            raise ToolError(_not_open(self._tool))
+        motor = self._opened()
         try:
-            self._motor.write_one_sample(command_v, _WRITE_TIMEOUT_S)
+            motor.write_one_sample(command_v, _WRITE_TIMEOUT_S)
         except _BOARD_ERRORS as error:
-            raise self._end(error) from error
+            raise self._fail(error) from error
+
+    def _opened(self) -> AnalogSingleChannelWriter:
+        if self._motor is None:
+            raise ToolError(f"{self._tool.board.device} is not open (any more): open the tool again first.")
+        return self._motor
 
     def _open_motor(self) -> None:
         task = self._new_task()
@@ -200,13 +204,12 @@ class NidaqTool:
     def _terminal(self, name: str) -> str:
         return f"{self._tool.board.device}/{name}"
 
-    def _end(self, error: Exception) -> ToolError:
+    def _fail(self, error: Exception) -> ToolError:
         """Close with the motor at zero, and put `error` into words."""
-        wanted_zero = self._motor is not None
-        text = _explain(error, self._tool)
+        text, had_motor = _explain(error, self._tool), self._motor is not None
         if not self._close():
             return ToolError(f"{text} {_switch_off(self._tool)}")
-        return ToolError(f"{text} The motor is at zero." if wanted_zero else text)
+        return ToolError(f"{text} The motor is at zero." if had_motor else text)
 
     def _close(self) -> bool:
         """Motor to zero, then give the board back; False if the motor could not be commanded to zero."""
@@ -244,24 +247,20 @@ def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = N
 
 
 def _explain(error: Exception, tool: Tool) -> str:
+    """One sentence on what happened and what to do next."""
     device = tool.board.device
     if isinstance(error, RpcError):
-        return f"Lost the connection to the server of {device} ({error.description}): start the server, then start again."
+        return f"The server of {device} is lost ({error.description}): see that it runs, then start again."
     if not isinstance(error, DaqError):
         return (
             "NI-DAQmx, the driver of the board, is missing here or too old: install NI-DAQmx from ni.com, "
             "or run with `--tool simulated`, which needs no driver."
         )
     detail = str(error).partition("\n")[0]
-    general = "{device} failed: {detail} Test it in NI MAX, then start again."
+    advice = _ADVICE.get(error.error_type, "{device} failed: {detail} Test it in NI MAX, then start again.")
     got = error.samps_per_chan_read if isinstance(error, DaqReadError) else 0
-    advice = _ADVICE.get(error.error_type, general)
     return advice.format(device=device, detail=detail, got=got, wanted=tool.board.block_samples)
 
 
 def _switch_off(tool: Tool) -> str:
     return f"{tool.board.device} could not be commanded to zero: switch off the motor's amplifier NOW."
-
-
-def _not_open(tool: Tool) -> str:
-    return f"{tool.board.device} is not open (any more): open the tool again first."

@@ -5,12 +5,12 @@ import numpy as np
 from acquisition.blocks import SAMPLE, Flag, SampleBlock
 from acquisition.calibration import to_jaw
 from acquisition.conditioning import LowPass
-from acquisition.contact import COMMAND_ON_V, GraspTracker
+from acquisition.contact import BACKDATE_SAMPLES, COMMAND_ON_V, GraspTracker
 from acquisition.source import RawBlock
 from config.schema import Calibration, Conditioning, Tool
 
 TARE_SAMPLES = 200
-KEPT_DISPLACEMENTS = 8
+KEPT_DISPLACEMENTS = BACKDATE_SAMPLES
 
 
 class Tare:

@@ -16,7 +16,7 @@ from config.schema import Tool
 class Clock(Protocol):
     def now_ns(self) -> int: ...
 
-    def sleep_until_ns(self, wake_ns: int) -> None: ...
+    def sleep_until_ns(self, wake_ns: float) -> None: ...
 
 
 class RealClock:
@@ -25,7 +25,7 @@ class RealClock:
     def now_ns(self) -> int:
         return time.monotonic_ns()
 
-    def sleep_until_ns(self, wake_ns: int) -> None:
+    def sleep_until_ns(self, wake_ns: float) -> None:
         while (left_ns := wake_ns - time.monotonic_ns()) > 0:
             time.sleep(left_ns * 1e-9)
 
@@ -39,8 +39,8 @@ class VirtualClock:
     def now_ns(self) -> int:
         return self._now_ns
 
-    def sleep_until_ns(self, wake_ns: int) -> None:
-        self._now_ns = max(self._now_ns, wake_ns)
+    def sleep_until_ns(self, wake_ns: float) -> None:
+        self._now_ns = max(self._now_ns, int(wake_ns))
 
 
 class Plant(Protocol):
@@ -69,7 +69,6 @@ class State(Enum):
     STOPPED = auto()
     RUNNING = auto()
     OVERRUN = auto()
-    ABORTED = auto()
 
 
 Sample = tuple[float, float, float, float, float]  # strain, readback, touch 1, touch 2 in V; encoder in deg
@@ -101,7 +100,7 @@ class SimulatedBoard:
 
     def __init__(self, tool: Tool, plant: Plant, clock: Clock | None = None, buffer_samples: int = 10_000) -> None:
         """`buffer_samples` defaults to what DAQmx allots at 1 kHz, 10 s."""
-        self.clock = clock or RealClock()
+        self.clock: Clock = clock or RealClock()
         self._plant = plant
         self._device = tool.board.device
         self._buffer_samples = buffer_samples
@@ -129,10 +128,6 @@ class SimulatedBoard:
         """What the motor command output holds, V."""
         return self._output_v
 
-    @property
-    def task_names(self) -> list[str]:
-        return list(self._tasks)
-
     # --- life of a task ----------------------------------------------------------------------------------------------
 
     def create_task(self, name: str) -> str:
@@ -153,8 +148,7 @@ class SimulatedBoard:
     def add_channel(self, name: str, kind: Kind, physical: str) -> Task:
         """Add `physical`, e.g. `Dev1/ai0`, to the task and return the task."""
         device, _, channel = physical.partition("/")
-        if device != self._device:
-            raise BoardError(DAQmxErrors.INVALID_DEVICE_ID, f"Device identifier is invalid: {device}")
+        self._check_device(device)
         if channel not in self._wired[kind]:
             raise BoardError(DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST, f"Physical channel does not exist: {physical}")
         task = self.task(name)
@@ -162,6 +156,10 @@ class SimulatedBoard:
         task.channels.append(physical)
         task.columns.append(self._wired[kind].index(channel))
         return task
+
+    def _check_device(self, device: str) -> None:
+        if device != self._device:
+            raise BoardError(DAQmxErrors.INVALID_DEVICE_ID, f"Device identifier is invalid: {device}")
 
     def start_task(self, name: str) -> None:
         with self._lock:
@@ -193,12 +191,11 @@ class SimulatedBoard:
 
     def reset_device(self, device: str) -> None:
         """Abort all tasks and put the output to 0 V."""
-        if device != self._device:
-            raise BoardError(DAQmxErrors.INVALID_DEVICE_ID, f"Device identifier is invalid: {device}")
+        self._check_device(device)
         with self._lock:
             self._advance()
             for task in self._tasks.values():
-                task.state = State.ABORTED
+                task.state = State.STOPPED
             self._output_v = 0.0
             self._clock_edges_left = math.inf
 
@@ -208,7 +205,8 @@ class SimulatedBoard:
         with self._lock:
             task = self.task(name)
             if task.state is not State.RUNNING and not auto_start:
-                raise BoardError(DAQmxErrors.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING, f"{name} is not running.")
+                code = DAQmxErrors.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING
+                raise BoardError(code, f"Task {name} is not running.")
             low_v, high_v = task.output_range_v
             if not low_v <= volts <= high_v:
                 raise BoardError(DAQmxErrors.INVALID_AO_DATA_WRITE, f"{volts} V is outside {low_v} to {high_v} V.")
@@ -278,7 +276,8 @@ class SimulatedBoard:
         """Let the plant live up to now, sample by sample, under the output that held meanwhile."""
         if not self._clock_runs:
             return
-        due = min((self.clock.now_ns() - self._started_ns) // self._period_ns - self._produced, self._clock_edges_left)
+        due = (self.clock.now_ns() - self._started_ns) // self._period_ns - self._produced
+        due = int(min(due, self._clock_edges_left))
         if due <= 0:
             return
         self._produced += due

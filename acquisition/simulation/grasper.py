@@ -9,7 +9,7 @@ from acquisition.calibration import from_jaw
 from config.errors import ConfigurationError
 from config.schema import TissueLibrary, Tool
 
-SUBSTEPS = 10
+SUBSTEPS = 5  # stable up to 1e6 N/m on 5 g
 TOUCHED_V = 5.0
 SHUT_SHARE = 0.98  # of the thickness: the jaws meet
 OPENING_BELOW_N = 0.02
@@ -27,15 +27,23 @@ class Specimen:
     mass_kg: float
     thickness_m: float
 
-    def advance(self, x_m: float, v_m_per_s: float, force_n: float, dt_s: float) -> tuple[float, float]:
-        """Linearly implicit Euler step: stable for any stiffness."""
-        exponential = math.exp(min(self.beta_per_m * x_m, 50.0))
-        elastic = self.alpha_n * (exponential - 1.0)
-        stiffness = self.alpha_n * self.beta_per_m * exponential
-        damping = self.damping_kg_per_s
-        change = dt_s * (force_n - elastic - damping * v_m_per_s - dt_s * stiffness * v_m_per_s)
-        v_m_per_s += change / (self.mass_kg + dt_s * damping + dt_s * dt_s * stiffness)
-        return x_m + dt_s * v_m_per_s, v_m_per_s
+    def advance(
+        self, x_m: float, v_m_per_s: float, begin_n: float, end_n: float, dt_s: float
+    ) -> tuple[float, float]:
+        """One Runge-Kutta step (4th order) under a force that goes straight from `begin_n` to `end_n`."""
+        middle_n, half_s = 0.5 * (begin_n + end_n), 0.5 * dt_s
+        v1, a1 = v_m_per_s, self._acceleration(x_m, v_m_per_s, begin_n)
+        v2 = v_m_per_s + half_s * a1
+        a2 = self._acceleration(x_m + half_s * v1, v2, middle_n)
+        v3 = v_m_per_s + half_s * a2
+        a3 = self._acceleration(x_m + half_s * v2, v3, middle_n)
+        v4 = v_m_per_s + dt_s * a3
+        a4 = self._acceleration(x_m + dt_s * v3, v4, end_n)
+        return x_m + dt_s / 6 * (v1 + 2 * v2 + 2 * v3 + v4), v_m_per_s + dt_s / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+
+    def _acceleration(self, x_m: float, v_m_per_s: float, force_n: float) -> float:
+        elastic = self.alpha_n * math.expm1(min(self.beta_per_m * x_m, 50.0))
+        return (force_n - self.damping_kg_per_s * v_m_per_s - elastic) / self.mass_kg
 
 
 class SimulatedGrasper:
@@ -110,10 +118,10 @@ class SimulatedGrasper:
         mechanics, specimen = self._mechanics, self.specimen
         begin_n = self.force_n
         self.force_n += (self.drive_n - self.force_n) * -math.expm1(-self._dt_s / mechanics.contact_lag_s)
+        step_n = (self.force_n - begin_n) / SUBSTEPS
         for k in range(SUBSTEPS):
-            force_n = begin_n + (self.force_n - begin_n) * (k + 0.5) / SUBSTEPS
             self.x_m, self._v_m_per_s = specimen.advance(
-                self.x_m, self._v_m_per_s, force_n, self._dt_s / SUBSTEPS
+                self.x_m, self._v_m_per_s, begin_n + k * step_n, begin_n + (k + 1) * step_n, self._dt_s / SUBSTEPS
             )
         shut_m = SHUT_SHARE * specimen.thickness_m
         if self.x_m > shut_m:

@@ -59,93 +59,95 @@ class BoardService(NiDAQmxServicer):
         self._board = board
 
     @_answers
-    def GetSystemInfoAttributeUInt32(self, request):
+    def GetSystemInfoAttributeUInt32(
+        self, request: pb.GetSystemInfoAttributeUInt32Request
+    ) -> pb.GetSystemInfoAttributeUInt32Response:
         return pb.GetSystemInfoAttributeUInt32Response(value=_DRIVER_VERSION.get(request.attribute_raw, 0))
 
     @_answers
-    def CreateTask(self, request):
+    def CreateTask(self, request: pb.CreateTaskRequest) -> pb.CreateTaskResponse:
         response = pb.CreateTaskResponse(new_session_initialized=True)
         response.task.name = self._board.create_task(request.session_name)
         return response
 
     @_answers
-    def GetTaskAttributeString(self, request):
+    def GetTaskAttributeString(self, request: pb.GetTaskAttributeStringRequest) -> pb.GetTaskAttributeStringResponse:
         task = self._board.task(request.task.name)
         value = ", ".join(task.channels) if request.attribute_raw == _TASK_CHANNELS else task.name
         return pb.GetTaskAttributeStringResponse(value=value)
 
     @_answers
-    def GetReadAttributeUInt32(self, request):
+    def GetReadAttributeUInt32(self, request: pb.GetReadAttributeUInt32Request) -> pb.GetReadAttributeUInt32Response:
         return pb.GetReadAttributeUInt32Response(value=len(self._board.task(request.task.name).channels))
 
     @_answers
-    def CreateAIVoltageChan(self, request):
+    def CreateAIVoltageChan(self, request: pb.CreateAIVoltageChanRequest) -> pb.CreateAIVoltageChanResponse:
         self._board.add_channel(request.task.name, Kind.ANALOG_IN, request.physical_channel)
         return pb.CreateAIVoltageChanResponse()
 
     @_answers
-    def CreateAOVoltageChan(self, request):
+    def CreateAOVoltageChan(self, request: pb.CreateAOVoltageChanRequest) -> pb.CreateAOVoltageChanResponse:
         task = self._board.add_channel(request.task.name, Kind.ANALOG_OUT, request.physical_channel)
         task.output_range_v = (request.min_val, request.max_val)
         return pb.CreateAOVoltageChanResponse()
 
     @_answers
-    def CreateCIAngEncoderChan(self, request):
+    def CreateCIAngEncoderChan(self, request: pb.CreateCIAngEncoderChanRequest) -> pb.CreateCIAngEncoderChanResponse:
         task = self._board.add_channel(request.task.name, Kind.ENCODER, request.counter)
         counts_per_turn = request.pulses_per_rev * _COUNTS_PER_PULSE[request.decoding_type_raw]
         task.degrees_per_count = 360.0 / counts_per_turn
         return pb.CreateCIAngEncoderChanResponse()
 
     @_answers
-    def CfgSampClkTiming(self, request):
+    def CfgSampClkTiming(self, request: pb.CfgSampClkTimingRequest) -> pb.CfgSampClkTimingResponse:
         task = self._board.task(request.task.name)
         task.rate_hz, task.clock_source = request.rate, request.source
         return pb.CfgSampClkTimingResponse()
 
     @_answers
-    def SetTrigAttributeInt32(self, request):
+    def SetTrigAttributeInt32(self, request: pb.SetTrigAttributeInt32Request) -> pb.SetTrigAttributeInt32Response:
         return pb.SetTrigAttributeInt32Response()  # kind and edge of the trigger: there is only one of each here
 
     @_answers
-    def SetTrigAttributeString(self, request):
+    def SetTrigAttributeString(self, request: pb.SetTrigAttributeStringRequest) -> pb.SetTrigAttributeStringResponse:
         if request.attribute_raw == _ARM_START_SOURCE:
             self._board.task(request.task.name).arm_trigger = request.value
         return pb.SetTrigAttributeStringResponse()
 
     @_answers
-    def StartTask(self, request):
+    def StartTask(self, request: pb.StartTaskRequest) -> pb.StartTaskResponse:
         self._board.start_task(request.task.name)
         return pb.StartTaskResponse()
 
     @_answers
-    def StopTask(self, request):
+    def StopTask(self, request: pb.StopTaskRequest) -> pb.StopTaskResponse:
         self._board.stop_task(request.task.name)
         return pb.StopTaskResponse()
 
     @_answers
-    def ClearTask(self, request):
+    def ClearTask(self, request: pb.ClearTaskRequest) -> pb.ClearTaskResponse:
         self._board.clear_task(request.task.name)
         return pb.ClearTaskResponse()
 
     @_answers
-    def ResetDevice(self, request):
+    def ResetDevice(self, request: pb.ResetDeviceRequest) -> pb.ResetDeviceResponse:
         self._board.reset_device(request.device_name)
         return pb.ResetDeviceResponse()
 
     @_answers
-    def ReadAnalogF64(self, request):
+    def ReadAnalogF64(self, request: pb.ReadAnalogF64Request) -> pb.ReadAnalogF64Response:
         wanted = request.num_samps_per_chan
         values, got = self._board.read_analog(request.task.name, wanted, request.timeout)
         return pb.ReadAnalogF64Response(read_array=values, samps_per_chan_read=got, status=_read_status(got, wanted))
 
     @_answers
-    def ReadCounterF64Ex(self, request):
+    def ReadCounterF64Ex(self, request: pb.ReadCounterF64ExRequest) -> pb.ReadCounterF64ExResponse:
         wanted = request.num_samps_per_chan
         values, got = self._board.read_encoder(request.task.name, wanted, request.timeout)
         return pb.ReadCounterF64ExResponse(read_array=values, samps_per_chan_read=got, status=_read_status(got, wanted))
 
     @_answers
-    def WriteAnalogScalarF64(self, request):
+    def WriteAnalogScalarF64(self, request: pb.WriteAnalogScalarF64Request) -> pb.WriteAnalogScalarF64Response:
         self._board.write_output(request.task.name, request.value, request.auto_start)
         return pb.WriteAnalogScalarF64Response()
 

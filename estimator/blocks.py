@@ -1,0 +1,86 @@
+"""What the estimator publishes: estimates sample by sample, the identification so far, and finished grasps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.alarms import ForceAlarm
+
+
+def estimate_dtype(tissues: int) -> np.dtype:
+    """One sample's estimates for K filters. NaN where a filter has none: no tissue held, jaws shut, or diverged."""
+    each = (tissues,)
+    return np.dtype(
+        [
+            ("tick", "i8"),
+            ("probability", "f8", each),
+            ("probability_unknown", "f8"),
+            ("threshold_n", "f8"),  # injury threshold in force
+            ("force_n", "f8", each),  # alpha (exp(beta x) - 1) of each filter
+            ("alpha_n", "f8", each),
+            ("beta_per_m", "f8", each),
+            ("damping_kg_per_s", "f8", each),
+            ("log_sd", "f8", (tissues, 3)),  # SD of log alpha, log beta, log d
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """What is held, as known at `tick`. `grasp` counts from 1; 0 before the first."""
+
+    tick: int
+    grasp: int
+    in_grasp: bool
+    in_contact: bool
+    label: str
+    probability: float | None
+    probabilities: dict[str, float]
+    time_to_decision_s: float | None
+    force_n: float | None
+    peak_force_n: float | None
+    threshold_n: float
+    threshold_tissue: str | None
+    convergence_s: dict[str, float | None]
+    force_error_n: dict[str, float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class GraspRecord:
+    """A finished grasp; times in seconds since the source's first sample; None where there is no value."""
+
+    index: int
+    start_s: float
+    contact_s: float | None
+    end_s: float
+    label: str
+    probability: float | None
+    probabilities: dict[str, float]
+    time_to_decision_s: float | None
+    alpha_n: float | None
+    beta_per_m: float | None
+    damping_kg_per_s: float | None
+    peak_force_n: float | None
+    peak_displacement_m: float | None
+    convergence_s: dict[str, float | None]
+    force_error_n: dict[str, float | None]
+    valid: bool
+    why_invalid: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateBlock:
+    """The answer to one sample block; `estimates` has one row for each of its samples."""
+
+    sequence: int
+    t_mono_ns: int
+    lost_samples: int
+    estimates: np.ndarray
+    identification: Identification
+    ended: tuple[GraspRecord, ...]
+    alarms: tuple[ForceAlarm, ...]
+
+
+def finite(value: float) -> float | None:
+    """None in place of NaN or infinity."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,48 @@
+"""The paper's criteria for a filter: convergence time and force error (Tables IV to VI)."""
+
+import numpy as np
+
+
+class ForceErrors:
+    """Errors of the filters' elastic forces against the measured force, over one grasp."""
+
+    def __init__(self, filters: int, convergence_error: float) -> None:
+        self._errors: list[np.ndarray] = [np.empty((0, filters))]
+        self._share = convergence_error
+        self._peak_n = 0.0
+
+    def add(self, filter_force_n: np.ndarray, force_n: np.ndarray) -> None:
+        """Take samples: filters' forces (n, K), measured force (n,)."""
+        self._errors.append(filter_force_n - force_n[:, None])
+        self._peak_n = max(self._peak_n, float(force_n.max()))
+
+    def truncate(self, samples: int) -> None:
+        """Forget all but the first samples."""
+        self._errors = [self._joined()[:samples]]
+
+    def _joined(self) -> np.ndarray:
+        if len(self._errors) > 1:
+            self._errors = [np.concatenate(self._errors)]
+        return self._errors[0]
+
+    def convergence_samples(self) -> np.ndarray:
+        """Samples after contact from which each filter's error stays within its bound, (K,); NaN if it does not.
+
+        The bound is 15 % of the largest force (Section V); a sample without an estimate counts as outside.
+        """
+        errors = self._joined()
+        outside = ~(np.abs(errors) <= self._share * self._peak_n)
+        if not len(errors):
+            return np.full(errors.shape[1], np.nan)
+        last = len(errors) - 1 - np.argmax(outside[::-1], axis=0)
+        first_inside = np.where(outside.any(axis=0), last + 1, 0).astype(float)
+        first_inside[outside[-1]] = np.nan
+        return first_inside
+
+    def mean_error_n(self) -> np.ndarray:
+        """Mean error of each filter where it has an estimate, N, (K,); NaN where it never has."""
+        errors = self._joined()
+        sound = np.isfinite(errors)
+        count = sound.sum(axis=0)
+        total = np.where(sound, errors, 0.0).sum(axis=0)
+        return np.divide(total, count, out=np.full(errors.shape[1], np.nan), where=count > 0)

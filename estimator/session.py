@@ -1,0 +1,148 @@
+"""From sample blocks to estimate blocks: follows a source from its first sample to its last."""
+
+import numpy as np
+
+from acquisition.blocks import SAMPLE, Flag, SampleBlock
+from acquisition.contact import BACKDATE_SAMPLES, COMMAND_SAMPLES
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.alarms import ForceAlarm, ForceWarnings
+from estimator.bank import Bank
+from estimator.blocks import EstimateBlock, GraspRecord, Identification, estimate_dtype, finite
+from estimator.decision import UNDECIDED
+from estimator.evidence import Evidence
+from estimator.grasp import GraspEstimation
+
+STEP_SAMPLES = 5  # probabilities are renewed at ticks that are multiples of this, however samples are cut into blocks
+CRITERIA_EVERY = 20  # steps between two evaluations of the paper's criteria for the live view
+
+
+class EstimationSession:
+    """The estimator's whole state. Call `process` with each block in its order, `finish` after the last."""
+
+    def __init__(self, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
+        self._rate_hz = tool.board.sample_rate_hz
+        self._library = library
+        self._settings = settings.identification
+        self._bank = Bank(tool, library)
+        self._evidence = Evidence(self._bank, self._settings)
+        self._warnings = ForceWarnings(settings.warnings)
+        self._dtype = estimate_dtype(len(library.tissues))
+        self._recent = np.zeros(0, SAMPLE)
+        self._grasp: GraspEstimation | None = None
+        self._in_grasp = False
+        self._criteria = self._empty_criteria()
+        self._last_tick = 0
+
+    def _empty_criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
+        nothing: dict[str, float | None] = dict.fromkeys(self._library.tissues)
+        return nothing, nothing
+
+    def process(self, block: SampleBlock) -> EstimateBlock:
+        """Estimates, identification, finished grasps and alarms for one block."""
+        estimates = np.full(len(block.samples), np.nan, self._dtype)
+        estimates["tick"] = block.samples["tick"]
+        if self._in_grasp and self._grasp:
+            self._grasp.lost_samples += block.lost_samples
+        ended: list[GraspRecord] = []
+        alarms: list[ForceAlarm] = []
+        steps = np.flatnonzero(np.diff(block.samples["tick"] // STEP_SAMPLES)) + 1
+        for samples, rows in zip(np.split(block.samples, steps), np.split(estimates, steps), strict=True):
+            self._step(samples, rows, ended)
+            self._warn(samples, rows, alarms)
+        self._last_tick = int(block.samples["tick"][-1])
+        return EstimateBlock(
+            block.sequence, block.t_mono_ns, block.lost_samples, estimates,
+            self._identification(block.samples), tuple(ended), tuple(alarms),
+        )  # fmt: skip
+
+    def finish(self) -> GraspRecord | None:
+        """The record of a grasp that the source's end cut short."""
+        if not (self._in_grasp and self._grasp):
+            return None
+        self._in_grasp = False
+        return self._grasp.finish(self._last_tick, self._rate_hz)
+
+    def _step(self, samples: np.ndarray, rows: np.ndarray, ended: list[GraspRecord]) -> None:
+        """A few samples: begin, follow or end the grasp they belong to."""
+        self._recent = np.concatenate([self._recent[-2 * BACKDATE_SAMPLES :], samples])
+        last = samples[-1]
+        in_grasp = bool(last["flags"] & Flag.IN_GRASP)
+        if self._in_grasp and self._grasp and (not in_grasp or last["grasp"] != self._grasp.index):
+            ended.append(self._grasp.finish(int(last["tick"]) - COMMAND_SAMPLES + 1, self._rate_hz))
+            self._in_grasp = False
+            self._criteria = (ended[-1].convergence_s, ended[-1].force_error_n)
+        if in_grasp and not self._in_grasp:
+            self._in_grasp = True
+            self._criteria = self._empty_criteria()
+            self._grasp = GraspEstimation(
+                int(last["grasp"]), int(last["grasp_start_tick"]), self._bank, self._evidence, self._settings
+            )
+        if self._in_grasp and self._grasp:
+            self._follow(self._grasp, samples, rows)
+
+    def _follow(self, grasp: GraspEstimation, samples: np.ndarray, rows: np.ndarray) -> None:
+        last = samples[-1]
+        grasp.flags |= Flag(int(np.bitwise_or.reduce(samples["flags"])))
+        grasp.peak_n = np.fmax(grasp.peak_n, np.fmax.reduce(samples["jaw_force_filtered_n"]))
+        grasp.peak_m = np.fmax(grasp.peak_m, np.fmax.reduce(samples["tissue_displacement_m"]))
+        if last["wall_tick"] >= 0 and not grasp.over:
+            grasp.shut(int(last["wall_tick"]))
+        if last["contact_tick"] >= 0 and not grasp.over:
+            self._learn(grasp, samples, rows)
+        rows["probability"] = grasp.probabilities[:-1]
+        rows["probability_unknown"] = grasp.probabilities[-1]
+
+    def _learn(self, grasp: GraspEstimation, samples: np.ndarray, rows: np.ndarray) -> None:
+        """Give the samples in contact to the filters, those before contact was known included."""
+        if grasp.contact_tick < 0:
+            since = np.flatnonzero(self._recent["tick"] >= samples[-1]["contact_tick"])[0]
+            before = self._recent["jaw_displacement_m"][max(since - 8, 0) : since]
+            grasp.begin(self._recent[since], before, self._rate_hz)
+            samples = self._recent[since:]
+            rows = np.full(len(samples), np.nan, self._dtype)  # their rows have been published
+        sound = (samples["flags"] & Flag.INVALID) == 0
+        if not sound.all():
+            samples, rows = samples[sound], rows[sound]
+        if len(samples):
+            grasp.take(samples, rows)
+
+    def _warn(self, samples: np.ndarray, rows: np.ndarray, alarms: list[ForceAlarm]) -> None:
+        threshold_n, tissue = self._threshold()
+        rows["threshold_n"] = threshold_n
+        force_n = float(samples["jaw_force_n"].mean())
+        if np.isfinite(force_n):
+            alarm = self._warnings.update(int(samples["tick"][-1]), force_n, threshold_n, tissue)
+            if alarm:
+                alarms.append(alarm)
+
+    def _threshold(self) -> tuple[float, str | None]:
+        """Injury threshold in force, N, and whose it is; the lowest of the library (None) while no tissue is named."""
+        label = self._grasp.label if self._in_grasp and self._grasp else UNDECIDED
+        if label in self._library.tissues:
+            return self._library.threshold_n(label), label
+        return self._library.lowest_threshold_n, None
+
+    def _identification(self, samples: np.ndarray) -> Identification:
+        grasp, last = self._grasp, samples[-1]
+        threshold_n, tissue = self._threshold()
+        step = int(last["tick"]) // STEP_SAMPLES
+        if grasp and self._in_grasp and step % CRITERIA_EVERY == 0:
+            self._criteria = grasp.criteria(self._rate_hz)
+        probabilities = grasp.named_probabilities() if grasp else {}
+        label = grasp.label if grasp else UNDECIDED
+        return Identification(
+            tick=int(last["tick"]),
+            grasp=grasp.index if grasp else 0,
+            in_grasp=self._in_grasp,
+            in_contact=bool(last["flags"] & Flag.CONTACT),
+            label=label,
+            probability=probabilities.get(label),
+            probabilities=probabilities,
+            time_to_decision_s=grasp.time_to_decision_s(self._rate_hz) if grasp else None,
+            force_n=finite(float(last["jaw_force_filtered_n"])),
+            peak_force_n=finite(grasp.peak_n) if grasp else None,
+            threshold_n=threshold_n,
+            threshold_tissue=tissue,
+            convergence_s=self._criteria[0],
+            force_error_n=self._criteria[1],
+        )
