@@ -49,41 +49,36 @@ def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSign
         cosine = numerator / (2 * geometry.l2_m * left)
         angle = np.arccos(cosine)  # beta0 + theta_jaw; NaN outside its domain
         theta_jaw = angle - beta0
-        crank = geometry.l2_m / geometry.l1_m * np.sin(angle)  # s of Eq. (2)
-
-        transmission = _transmission(geometry, angle, theta_jaw, crank)
+        sine, jaw_cosine = np.sin(angle), np.cos(theta_jaw)
+        jaw_sine = np.sin(theta_jaw)
+        crank = geometry.l2_m / geometry.l1_m * sine  # s of Eq. (2)
+        rod_angle = np.arcsin(crank)
+        transmission = (  # Eq. (2) as printed; tan(asin s) cos(asin s) is s, the paper writes it out
+            geometry.l2_m * geometry.r_pp_m / (2 * geometry.l_jaw_m * geometry.a_m)
+            * (np.tan(rod_angle) * np.cos(rod_angle) + sine) * jaw_cosine
+        )  # fmt: skip
         gain = transmission * calibration.newton_per_volt * calibration.jaw_force_scale
         force = gain * strain_v
-        displacement = geometry.l_jaw_m * np.sin(theta_jaw)  # Eq. (6)
+        displacement = geometry.l_jaw_m * jaw_sine  # Eq. (6)
 
         cosine_by_rod = (numerator - 2 * left**2) / (2 * geometry.l2_m * left**2)
         angle_by_volt = (
-            cosine_by_rod / np.sin(angle)  # the two minus signs of d(arccos) and of the stretch cancel
+            cosine_by_rod / sine  # the two minus signs of d(arccos) and of the stretch cancel
             * geometry.a_m * (1 + tangent**2)
             * radian_per_encoder * calibration.encoder_deg_per_volt
         )  # fmt: skip
-        gain_by_angle = gain * (1 / np.tan(angle) - np.tan(theta_jaw))
+        gain_by_angle = gain * (np.cos(angle) / sine - jaw_sine / jaw_cosine)
         newton_per_volt = gain + strain_v * gain_by_angle * angle_by_volt
-        metre_per_volt = geometry.l_jaw_m * np.cos(theta_jaw) * angle_by_volt
+        metre_per_volt = geometry.l_jaw_m * jaw_cosine * angle_by_volt
 
         valid = (
             (left > 0) & (np.abs(cosine) < 1) & (np.abs(crank) <= 1)
             & (np.abs(theta_handle) < np.pi / 2) & (np.abs(theta_jaw) < np.pi / 2)
         )  # fmt: skip
-    nothing = ~valid
-    for signal in (force, displacement, theta_jaw, newton_per_volt, metre_per_volt):
-        signal[nothing] = np.nan
+    if not valid.all():
+        for signal in (force, displacement, theta_jaw, newton_per_volt, metre_per_volt):
+            signal[~valid] = np.nan
     return JawSignals(force, displacement, theta_jaw, newton_per_volt, metre_per_volt, valid)
-
-
-def _transmission(geometry: Geometry, angle: np.ndarray, theta_jaw: np.ndarray, crank: np.ndarray) -> np.ndarray:
-    """Jaw force for 1 N at the handle, Eq. (2) as printed; tan(asin s) cos(asin s) is s, the paper writes it out."""
-    rod_angle = np.arcsin(crank)
-    return (
-        geometry.l2_m * geometry.r_pp_m / (2 * geometry.l_jaw_m * geometry.a_m)
-        * (np.tan(rod_angle) * np.cos(rod_angle) + np.sin(angle))
-        * np.cos(theta_jaw)
-    )  # fmt: skip
 
 
 def from_jaw(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, float]:

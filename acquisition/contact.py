@@ -15,6 +15,10 @@ BACKDATE_SAMPLES = 64
 SMOOTH_SAMPLES = 8
 TOUCH_SAMPLES = 2
 
+# plain integers: combining enum members costs more than the rest of a sample
+IN_GRASP, CONTACT, CONTACT_SENSED = Flag.IN_GRASP.value, Flag.CONTACT.value, Flag.CONTACT_SENSED.value
+JAWS_SHUT, ENCODER_SLIPS = Flag.JAWS_SHUT.value, Flag.ENCODER_SLIPS.value
+
 
 @dataclass(slots=True)
 class _LoadingPoint:
@@ -59,28 +63,26 @@ class GraspTracker:
 
     def update(
         self, tick: int, command_v: float, strain_v: float, encoder_deg: float, touched: bool
-    ) -> Flag:
-        """Take one sample (strain tared) and say what is known of it."""
+    ) -> int:
+        """Take one sample (strain tared); returns its flags."""
         if not self._recent:
             self.grasp.encoder_zero_deg = encoder_deg
         self._recent.append((command_v, strain_v, encoder_deg))
         self._follow_command(tick, command_v)
         if not self.in_grasp:
-            return Flag(0)
+            return 0
         grasp = self.grasp
         if grasp.contact_tick < 0:
             self._look_for_contact(tick, touched)
-        if grasp.contact_tick >= 0:
+        if grasp.contact_tick >= 0 and grasp.wall_tick < 0 and not grasp.slips:
             self._watch_loading(tick)
-        flags = Flag.IN_GRASP
+        flags = IN_GRASP
         if grasp.contact_tick >= 0:
-            flags |= Flag.CONTACT
-            if self._detection.touch_trusted:
-                flags |= Flag.CONTACT_SENSED
+            flags |= CONTACT | (CONTACT_SENSED if self._detection.touch_trusted else 0)
         if grasp.wall_tick >= 0:
-            flags |= Flag.JAWS_SHUT
+            flags |= JAWS_SHUT
         if grasp.slips:
-            flags |= Flag.ENCODER_SLIPS
+            flags |= ENCODER_SLIPS
         return flags
 
     def _follow_command(self, tick: int, command_v: float) -> None:
@@ -146,7 +148,7 @@ class GraspTracker:
         slope = (encoder_deg - first.encoder_deg) / (strain_v - first.strain_v)
         if slope < self._stretch * detection.slip_share:
             grasp.slips = True
-        elif slope < self._stretch + detection.wall_slack_deg_per_volt and grasp.wall_tick < 0:
+        elif slope < self._stretch + detection.wall_slack_deg_per_volt:
             grasp.wall_tick = first.tick
 
     def _smoothed(self) -> tuple[float, float]:

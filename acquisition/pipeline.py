@@ -10,6 +10,7 @@ from acquisition.source import RawBlock
 from config.schema import Calibration, Conditioning, Tool
 
 TARE_SAMPLES = 200
+NOTHING, INVALID, SATURATED = np.uint16(0), np.uint16(Flag.INVALID), np.uint16(Flag.SATURATED)
 KEPT_DISPLACEMENTS = BACKDATE_SAMPLES
 
 
@@ -53,6 +54,7 @@ class Pipeline:
         self._low_pass = LowPass(conditioning, tool.board.sample_rate_hz)
         self._tracker = GraspTracker(tool.contact, tool.calibration.encoder_deg_per_volt)
         self.tare = Tare(tool.calibration)
+        self._saturated_v = 0.999 * tool.channels.analog_range_v
         self._sequence = 0
         self._displacements = np.full(KEPT_DISPLACEMENTS, np.nan)
         self._contact_of = 0
@@ -68,17 +70,16 @@ class Pipeline:
             samples[name] = getattr(raw, name)
 
         encoder_zero = self._segment(samples)
-        both = np.stack([raw.strain_v, raw.encoder_deg])
-        filtered = self._low_pass(both)
-        strain_v = np.stack([raw.strain_v, filtered[0]]) - self.tare.rest_v
-        encoder_deg = np.stack([raw.encoder_deg, filtered[1]]) - encoder_zero
+        both = np.empty((2, 2, n))  # unfiltered and filtered; strain and encoder
+        both[0, 0], both[0, 1] = raw.strain_v, raw.encoder_deg
+        both[1] = self._low_pass(both[0])
+        strain_v, encoder_deg = both[:, 0] - self.tare.rest_v, both[:, 1] - encoder_zero
         jaw = to_jaw(self._tool, strain_v, encoder_deg)
         samples["jaw_force_n"], samples["jaw_force_filtered_n"] = jaw.force_n
         samples["jaw_displacement_m"], samples["jaw_displacement_filtered_m"] = jaw.displacement_m
         samples["newton_per_volt"], samples["metre_per_volt"] = jaw.newton_per_volt[0], jaw.metre_per_volt[0]
-        samples["flags"][~jaw.valid[0]] |= np.uint16(Flag.INVALID)
-        limit_v = 0.999 * self._tool.channels.analog_range_v
-        samples["flags"][np.abs(raw.strain_v) >= limit_v] |= np.uint16(Flag.SATURATED)
+        samples["flags"] |= np.where(jaw.valid[0], NOTHING, INVALID)
+        samples["flags"] |= np.where(np.abs(raw.strain_v) < self._saturated_v, NOTHING, SATURATED)
         samples["tissue_displacement_m"] = self._since_contact(samples)
 
         self._sequence += 1
@@ -96,7 +97,7 @@ class Pipeline:
             flags = self._tracker.update(first_tick + i, command_v[i], strain_v[i], encoder_deg[i], touched[i])
             grasp = self._tracker.grasp
             contact, wall = (grasp.contact_tick, grasp.wall_tick) if flags else (-1, -1)
-            rows.append((grasp.index, grasp.start_tick, contact, wall, int(flags), grasp.encoder_zero_deg))
+            rows.append((grasp.index, grasp.start_tick, contact, wall, flags, grasp.encoder_zero_deg))
         columns = np.array(rows).T
         for name, column in zip(("grasp", "grasp_start_tick", "contact_tick", "wall_tick", "flags"), columns, strict=False):
             samples[name] = column
@@ -107,11 +108,11 @@ class Pipeline:
         displacement = np.concatenate([self._displacements, samples["jaw_displacement_m"]])
         self._displacements = displacement[-KEPT_DISPLACEMENTS:]
         held = samples["contact_tick"] >= 0
-        result = np.full(len(samples), np.nan)
-        for i in np.flatnonzero(held):
-            if samples["grasp"][i] != self._contact_of:
-                back = int(samples["tick"][i] - samples["contact_tick"][i])
-                self._contact_of = int(samples["grasp"][i])
-                self._contact_m = float(displacement[KEPT_DISPLACEMENTS + i - back])
-            result[i] = samples["jaw_displacement_m"][i] - self._contact_m
-        return result
+        if not held.any():
+            return np.full(len(samples), np.nan)
+        first = int(np.argmax(held))
+        if samples["grasp"][first] != self._contact_of:
+            back = int(samples["tick"][first] - samples["contact_tick"][first])
+            self._contact_of = int(samples["grasp"][first])
+            self._contact_m = float(displacement[KEPT_DISPLACEMENTS + first - back])
+        return np.where(held, samples["jaw_displacement_m"] - self._contact_m, np.nan)

@@ -318,7 +318,7 @@ class Server(Model):
 class Conditioning(Model):
     """The paper's low-pass for what people look at: 2nd-order Butterworth at 10 Hz."""
 
-    butterworth_order: Annotated[int, Field(ge=1, le=8)] = 2
+    butterworth_order: Annotated[int, Field(ge=1, le=4)] = 2
     butterworth_cutoff_hz: Positive = 10.0
 
 

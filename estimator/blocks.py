@@ -25,6 +25,15 @@ def estimate_dtype(tissues: int) -> np.dtype:
     )
 
 
+def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
+    """Rows without any value for these ticks."""
+    rows = np.empty(len(ticks), dtype)
+    rows["tick"] = ticks
+    for name in dtype.names[1:]:
+        rows[name] = np.nan
+    return rows
+
+
 @dataclass(frozen=True, slots=True)
 class Identification:
     """What is held, as known at `tick`. `grasp` counts from 1; 0 before the first."""

@@ -29,7 +29,7 @@ class GraspEstimation:
         self.peak_n, self.peak_m = np.nan, np.nan
         self.contact_tick, self._contact_m = -1, np.nan
         self.over = False  # no more tissue to learn from: jaws shut
-        self.flags = Flag(0)
+        self.flags = 0
         self.lost_samples = 0
         self._errors = ForceErrors(len(self.names), settings.convergence_error)
         self._kept: list[tuple[int, BankState, int]] = []  # tick, bank, samples taken
@@ -37,7 +37,7 @@ class GraspEstimation:
 
     def begin(self, sample: np.void, before_m: np.ndarray, rate_hz: float) -> None:
         """First sample in contact; `before_m` are the jaw displacements of the samples before it."""
-        sensed = Flag.CONTACT_SENSED in Flag(int(sample["flags"]))
+        sensed = bool(sample["flags"] & Flag.CONTACT_SENSED)
         approach = (before_m[-1] - before_m[0]) / (len(before_m) - 1) * rate_hz if len(before_m) > 1 else 0.0
         self.contact_tick, self._contact_m = int(sample["tick"]), float(sample["jaw_displacement_m"])
         self._bank.start(
@@ -87,9 +87,9 @@ class GraspEstimation:
 
     def why_invalid(self) -> str | None:
         """What speaks against believing this grasp, or None."""
-        if Flag.ENCODER_SLIPS in self.flags:
+        if self.flags & Flag.ENCODER_SLIPS:
             return "the encoder slips or walks: displacement cannot be believed"
-        if Flag.SATURATED in self.flags:
+        if self.flags & Flag.SATURATED:
             return "the strain gage is saturated"
         if self.contact_tick < 0:
             return "no contact with tissue was found"

@@ -7,11 +7,14 @@ from acquisition.contact import BACKDATE_SAMPLES, COMMAND_SAMPLES
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.alarms import ForceAlarm, ForceWarnings
 from estimator.bank import Bank
-from estimator.blocks import EstimateBlock, GraspRecord, Identification, estimate_dtype, finite
+from estimator.blocks import EstimateBlock, GraspRecord, Identification, blank_estimates, estimate_dtype, finite
 from estimator.decision import UNDECIDED
 from estimator.evidence import Evidence
 from estimator.grasp import GraspEstimation
 
+IN_GRASP, CONTACT, INVALID, ENCODER_SLIPS = (
+    Flag.IN_GRASP.value, Flag.CONTACT.value, Flag.INVALID.value, Flag.ENCODER_SLIPS.value,
+)  # fmt: skip
 STEP_SAMPLES = 5  # probabilities are renewed at ticks that are multiples of this, however samples are cut into blocks
 CRITERIA_EVERY = 20  # steps between two evaluations of the paper's criteria for the live view
 
@@ -21,7 +24,8 @@ class EstimationSession:
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
         self._rate_hz = tool.board.sample_rate_hz
-        self._library = library
+        self._thresholds = {name: library.threshold_n(name) for name in library.tissues}
+        self._lowest_n = library.lowest_threshold_n
         self._settings = settings.identification
         self._bank = Bank(tool, library)
         self._evidence = Evidence(self._bank, self._settings)
@@ -34,21 +38,27 @@ class EstimationSession:
         self._last_tick = 0
 
     def _empty_criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
-        nothing: dict[str, float | None] = dict.fromkeys(self._library.tissues)
+        nothing: dict[str, float | None] = dict.fromkeys(self._thresholds)
         return nothing, nothing
 
     def process(self, block: SampleBlock) -> EstimateBlock:
         """Estimates, identification, finished grasps and alarms for one block."""
-        estimates = np.full(len(block.samples), np.nan, self._dtype)
-        estimates["tick"] = block.samples["tick"]
+        n, kept = len(block.samples), len(self._recent)
+        window = np.empty(kept + n, SAMPLE)
+        window[:kept], window[kept:] = self._recent, block.samples
+        self._recent = window[-2 * BACKDATE_SAMPLES :]
+        estimates = blank_estimates(self._dtype, block.samples["tick"])
         if self._in_grasp and self._grasp:
             self._grasp.lost_samples += block.lost_samples
         ended: list[GraspRecord] = []
         alarms: list[ForceAlarm] = []
-        steps = np.flatnonzero(np.diff(block.samples["tick"] // STEP_SAMPLES)) + 1
-        for samples, rows in zip(np.split(block.samples, steps), np.split(estimates, steps), strict=True):
-            self._step(samples, rows, ended)
-            self._warn(samples, rows, alarms)
+        ends = [*(np.flatnonzero(np.diff(block.samples["tick"] // STEP_SAMPLES)) + 1).tolist(), n]
+        begin = 0
+        for end in ends:
+            rows = estimates[begin:end]
+            self._step(window[: kept + end], rows, ended)
+            self._warn(window[kept + begin : kept + end], rows, alarms)
+            begin = end
         self._last_tick = int(block.samples["tick"][-1])
         return EstimateBlock(
             block.sequence, block.t_mono_ns, block.lost_samples, estimates,
@@ -62,11 +72,10 @@ class EstimationSession:
         self._in_grasp = False
         return self._grasp.finish(self._last_tick, self._rate_hz)
 
-    def _step(self, samples: np.ndarray, rows: np.ndarray, ended: list[GraspRecord]) -> None:
-        """A few samples: begin, follow or end the grasp they belong to."""
-        self._recent = np.concatenate([self._recent[-2 * BACKDATE_SAMPLES :], samples])
-        last = samples[-1]
-        in_grasp = bool(last["flags"] & Flag.IN_GRASP)
+    def _step(self, window: np.ndarray, rows: np.ndarray, ended: list[GraspRecord]) -> None:
+        """The last few samples of `window`: begin, follow or end the grasp they belong to."""
+        last = window[-1]
+        in_grasp = bool(last["flags"] & IN_GRASP)
         if self._in_grasp and self._grasp and (not in_grasp or last["grasp"] != self._grasp.index):
             ended.append(self._grasp.finish(int(last["tick"]) - COMMAND_SAMPLES + 1, self._rate_hz))
             self._in_grasp = False
@@ -78,29 +87,30 @@ class EstimationSession:
                 int(last["grasp"]), int(last["grasp_start_tick"]), self._bank, self._evidence, self._settings
             )
         if self._in_grasp and self._grasp:
-            self._follow(self._grasp, samples, rows)
+            self._follow(self._grasp, window, rows)
 
-    def _follow(self, grasp: GraspEstimation, samples: np.ndarray, rows: np.ndarray) -> None:
-        last = samples[-1]
-        grasp.flags |= Flag(int(np.bitwise_or.reduce(samples["flags"])))
+    def _follow(self, grasp: GraspEstimation, window: np.ndarray, rows: np.ndarray) -> None:
+        samples, last = window[-len(rows) :], window[-1]
+        grasp.flags |= int(np.bitwise_or.reduce(samples["flags"]))
         grasp.peak_n = np.fmax(grasp.peak_n, np.fmax.reduce(samples["jaw_force_filtered_n"]))
         grasp.peak_m = np.fmax(grasp.peak_m, np.fmax.reduce(samples["tissue_displacement_m"]))
         if last["wall_tick"] >= 0 and not grasp.over:
             grasp.shut(int(last["wall_tick"]))
+        grasp.over |= bool(grasp.flags & ENCODER_SLIPS)
         if last["contact_tick"] >= 0 and not grasp.over:
-            self._learn(grasp, samples, rows)
+            self._learn(grasp, window, rows)
         rows["probability"] = grasp.probabilities[:-1]
         rows["probability_unknown"] = grasp.probabilities[-1]
 
-    def _learn(self, grasp: GraspEstimation, samples: np.ndarray, rows: np.ndarray) -> None:
+    def _learn(self, grasp: GraspEstimation, window: np.ndarray, rows: np.ndarray) -> None:
         """Give the samples in contact to the filters, those before contact was known included."""
+        samples = window[-len(rows) :]
         if grasp.contact_tick < 0:
-            since = np.flatnonzero(self._recent["tick"] >= samples[-1]["contact_tick"])[0]
-            before = self._recent["jaw_displacement_m"][max(since - 8, 0) : since]
-            grasp.begin(self._recent[since], before, self._rate_hz)
-            samples = self._recent[since:]
-            rows = np.full(len(samples), np.nan, self._dtype)  # their rows have been published
-        sound = (samples["flags"] & Flag.INVALID) == 0
+            since = int(np.searchsorted(window["tick"], window[-1]["contact_tick"]))
+            grasp.begin(window[since], window["jaw_displacement_m"][max(since - 8, 0) : since], self._rate_hz)
+            samples = window[since:]
+            rows = blank_estimates(self._dtype, samples["tick"])  # what is earlier has been published
+        sound = (samples["flags"] & INVALID) == 0
         if not sound.all():
             samples, rows = samples[sound], rows[sound]
         if len(samples):
@@ -109,7 +119,7 @@ class EstimationSession:
     def _warn(self, samples: np.ndarray, rows: np.ndarray, alarms: list[ForceAlarm]) -> None:
         threshold_n, tissue = self._threshold()
         rows["threshold_n"] = threshold_n
-        force_n = float(samples["jaw_force_n"].mean())
+        force_n = float(np.add.reduce(samples["jaw_force_n"])) / len(samples)
         if np.isfinite(force_n):
             alarm = self._warnings.update(int(samples["tick"][-1]), force_n, threshold_n, tissue)
             if alarm:
@@ -118,15 +128,15 @@ class EstimationSession:
     def _threshold(self) -> tuple[float, str | None]:
         """Injury threshold in force, N, and whose it is; the lowest of the library (None) while no tissue is named."""
         label = self._grasp.label if self._in_grasp and self._grasp else UNDECIDED
-        if label in self._library.tissues:
-            return self._library.threshold_n(label), label
-        return self._library.lowest_threshold_n, None
+        if label in self._thresholds:
+            return self._thresholds[label], label
+        return self._lowest_n, None
 
     def _identification(self, samples: np.ndarray) -> Identification:
         grasp, last = self._grasp, samples[-1]
         threshold_n, tissue = self._threshold()
         step = int(last["tick"]) // STEP_SAMPLES
-        if grasp and self._in_grasp and step % CRITERIA_EVERY == 0:
+        if grasp and self._in_grasp and not grasp.over and step % CRITERIA_EVERY == 0:
             self._criteria = grasp.criteria(self._rate_hz)
         probabilities = grasp.named_probabilities() if grasp else {}
         label = grasp.label if grasp else UNDECIDED
@@ -134,7 +144,7 @@ class EstimationSession:
             tick=int(last["tick"]),
             grasp=grasp.index if grasp else 0,
             in_grasp=self._in_grasp,
-            in_contact=bool(last["flags"] & Flag.CONTACT),
+            in_contact=bool(last["flags"] & CONTACT),
             label=label,
             probability=probabilities.get(label),
             probabilities=probabilities,

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from acquisition.calibration import from_jaw
 from config.errors import ConfigurationError
@@ -27,23 +28,34 @@ class Specimen:
     mass_kg: float
     thickness_m: float
 
-    def advance(
-        self, x_m: float, v_m_per_s: float, begin_n: float, end_n: float, dt_s: float
-    ) -> tuple[float, float]:
-        """One Runge-Kutta step (4th order) under a force that goes straight from `begin_n` to `end_n`."""
-        middle_n, half_s = 0.5 * (begin_n + end_n), 0.5 * dt_s
-        v1, a1 = v_m_per_s, self._acceleration(x_m, v_m_per_s, begin_n)
-        v2 = v_m_per_s + half_s * a1
-        a2 = self._acceleration(x_m + half_s * v1, v2, middle_n)
-        v3 = v_m_per_s + half_s * a2
-        a3 = self._acceleration(x_m + half_s * v2, v3, middle_n)
-        v4 = v_m_per_s + dt_s * a3
-        a4 = self._acceleration(x_m + dt_s * v3, v4, end_n)
-        return x_m + dt_s / 6 * (v1 + 2 * v2 + 2 * v3 + v4), v_m_per_s + dt_s / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 
-    def _acceleration(self, x_m: float, v_m_per_s: float, force_n: float) -> float:
-        elastic = self.alpha_n * math.expm1(min(self.beta_per_m * x_m, 50.0))
-        return (force_n - self.damping_kg_per_s * v_m_per_s - elastic) / self.mass_kg
+@njit(cache=True)
+def squeeze(x_m, v_m_per_s, begin_n, end_n, dt_s, alpha_n, beta_per_m, damping_kg_per_s, mass_kg):
+    """Displacement and velocity of tissue after `dt_s` under a force that goes straight from `begin_n` to `end_n`.
+
+    Runge-Kutta, 4th order, of Eq. (7): another method than the estimator's on purpose.
+    """
+    step_s, half_s = dt_s / SUBSTEPS, 0.5 * dt_s / SUBSTEPS
+    for k in range(SUBSTEPS):
+        first_n = begin_n + (end_n - begin_n) * k / SUBSTEPS
+        last_n = begin_n + (end_n - begin_n) * (k + 1) / SUBSTEPS
+        middle_n = 0.5 * (first_n + last_n)
+        v1, a1 = v_m_per_s, _acceleration(x_m, v_m_per_s, first_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg)
+        v2 = v1 + half_s * a1
+        a2 = _acceleration(x_m + half_s * v1, v2, middle_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg)
+        v3 = v1 + half_s * a2
+        a3 = _acceleration(x_m + half_s * v2, v3, middle_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg)
+        v4 = v1 + step_s * a3
+        a4 = _acceleration(x_m + step_s * v3, v4, last_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg)
+        x_m += step_s / 6 * (v1 + 2 * (v2 + v3) + v4)
+        v_m_per_s += step_s / 6 * (a1 + 2 * (a2 + a3) + a4)
+    return x_m, v_m_per_s
+
+
+@njit(cache=True)
+def _acceleration(x_m, v_m_per_s, force_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg):
+    elastic_n = alpha_n * math.expm1(min(beta_per_m * x_m, 50.0))
+    return (force_n - damping_kg_per_s * v_m_per_s - elastic_n) / mass_kg
 
 
 class SimulatedGrasper:
@@ -62,7 +74,10 @@ class SimulatedGrasper:
         self._rest_v = tool.calibration.rest_offset_v + REST_SCATTER_V * float(self._noise.standard_normal())
         self._noise_v: list[float] = []
         self._grasps = 0
-        self._closing = False
+        self._command_v, self._target_n = 0.0, 0.0
+        self._drive_share = -math.expm1(-self._dt_s / self._mechanics.drive_lag_s)
+        self._contact_share = -math.expm1(-self._dt_s / self._mechanics.contact_lag_s)
+        self._opening_share = math.exp(-self._dt_s / self._mechanics.opening_time_s)
         self.tissue = tissue
         self.specimen = self._draw()
         self.drive_n = 0.0
@@ -78,11 +93,9 @@ class SimulatedGrasper:
 
     def step(self, command_v: float) -> tuple[float, float, float, float]:
         """Advance one sample with the command held; returns strain V, encoder degrees, touch 1 V, touch 2 V."""
-        if command_v > 0 and not self._closing:
-            self._grasps += 1
-            self.specimen = self._draw()
-        self._closing = command_v > 0
-        self._move(command_v)
+        if command_v != self._command_v:
+            self._set_command(command_v)
+        self._move()
         strain_v, encoder_deg = from_jaw(self._tool, self.force_n, self.jaw_m)
         touch_v = TOUCHED_V if self.in_contact else 0.0
         return self._read_strain(strain_v), self._read_encoder(encoder_deg), touch_v, touch_v
@@ -99,40 +112,51 @@ class SimulatedGrasper:
             profile.thickness_m,
         )
 
-    def _move(self, command_v: float) -> None:
-        mechanics, dt_s = self._mechanics, self._dt_s
-        target_n = float(self._tool.command_to_force.force(command_v))
-        self.drive_n += (target_n - self.drive_n) * -math.expm1(-dt_s / mechanics.drive_lag_s)
-        if command_v <= 0 and self.drive_n < OPENING_BELOW_N:
+    def _set_command(self, command_v: float) -> None:
+        if self._command_v <= 0 and not self.in_contact:  # the jaws close anew
+            self._grasps += 1
+            self.specimen = self._draw()
+        self._command_v = command_v
+        self._target_n = float(self._tool.command_to_force.force(command_v))
+
+    def _move(self) -> None:
+        self.drive_n += (self._target_n - self.drive_n) * self._drive_share
+        if self._command_v <= 0 and self.drive_n < OPENING_BELOW_N:
             self._open()
         elif self.in_contact:
             self._squeeze()
         else:
-            self.jaw_m += self.drive_n / mechanics.free_drag_kg_per_s * dt_s
-            self.in_contact = self.jaw_m >= mechanics.free_travel_m
-            self.x_m = max(self.jaw_m - mechanics.free_travel_m, 0.0)
-            self._v_m_per_s, self.force_n = 0.0, 0.0
+            self._approach()
+
+    def _approach(self) -> None:
+        """Jaws move freely until they touch."""
+        free_m = self._mechanics.free_travel_m
+        self.jaw_m += self.drive_n / self._mechanics.free_drag_kg_per_s * self._dt_s
+        self.in_contact = self.jaw_m >= free_m
+        self.x_m = max(self.jaw_m - free_m, 0.0)
+        self._v_m_per_s, self.force_n = 0.0, 0.0
 
     def _squeeze(self) -> None:
         """The drive's force reaches the tissue through the cable and deforms it; shut jaws take any force."""
-        mechanics, specimen = self._mechanics, self.specimen
         begin_n = self.force_n
-        self.force_n += (self.drive_n - self.force_n) * -math.expm1(-self._dt_s / mechanics.contact_lag_s)
-        step_n = (self.force_n - begin_n) / SUBSTEPS
-        for k in range(SUBSTEPS):
-            self.x_m, self._v_m_per_s = specimen.advance(
-                self.x_m, self._v_m_per_s, begin_n + k * step_n, begin_n + (k + 1) * step_n, self._dt_s / SUBSTEPS
-            )
-        shut_m = SHUT_SHARE * specimen.thickness_m
-        if self.x_m > shut_m:
-            self.x_m, self._v_m_per_s = shut_m, 0.0
-        self.jaw_m = mechanics.free_travel_m + self.x_m
+        self.force_n += (self.drive_n - self.force_n) * self._contact_share
+        held = self.specimen
+        x_m, v_m_per_s = squeeze(
+            self.x_m, self._v_m_per_s, begin_n, self.force_n, self._dt_s,
+            held.alpha_n, held.beta_per_m, held.damping_kg_per_s, held.mass_kg,
+        )  # fmt: skip
+        shut_m = SHUT_SHARE * held.thickness_m
+        if x_m > shut_m:
+            x_m, v_m_per_s = shut_m, 0.0
+        self.x_m, self._v_m_per_s = x_m, v_m_per_s
+        self.jaw_m = self._mechanics.free_travel_m + x_m
 
     def _open(self) -> None:
-        """The return spring takes the jaws back; they leave the tissue."""
-        self.in_contact, self.force_n = False, 0.0
-        self.x_m, self._v_m_per_s = 0.0, 0.0
-        self.jaw_m *= math.exp(-self._dt_s / self._mechanics.opening_time_s)
+        """The return spring takes the jaws back; the tissue follows until they leave it."""
+        self.jaw_m *= self._opening_share
+        self.x_m = max(self.jaw_m - self._mechanics.free_travel_m, 0.0)
+        self.in_contact = self.x_m > 0.0
+        self.force_n, self._v_m_per_s = 0.0, 0.0
 
     def _read_strain(self, strain_v: float) -> float:
         if not self._noise_v:

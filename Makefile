@@ -1,0 +1,49 @@
+# Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
+.PHONY: run test lint bench dashboard wire lock clean
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+NPM := frontend/npm.sh
+DASHBOARD_SOURCES := $(shell find frontend/src frontend/scripts frontend/public -type f ! -name wire.ts 2>/dev/null) \
+	frontend/index.html frontend/package.json frontend/vite.config.js frontend/tsconfig.json
+
+run: $(VENV)/.installed app/static/index.html ## start with the simulated grasper and a demonstration
+	$(BIN)/graspwatch serve --demo
+
+test: $(VENV)/.installed app/static/index.html ## the whole test suite
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest
+
+bench: $(VENV)/.installed app/static/index.html ## measure; prints the table, writes bench.json
+	$(BIN)/python -m tests.benchmarks
+
+dashboard: app/static/index.html ## build the dashboard
+
+wire: $(VENV)/.installed ## renew the schema that the dashboard's types are generated from
+	$(BIN)/python -m app.wire_schema
+
+lock: ## renew the locked versions (needs uv)
+	uv pip compile -q pyproject.toml --universal --python-version 3.11 --no-emit-index-url --no-annotate -o requirements.lock
+	uv pip compile -q pyproject.toml --extra dev --universal --python-version 3.11 --no-emit-index-url --no-annotate \
+		-c requirements.lock -o requirements-dev.lock
+
+clean: ## remove everything that was installed or built
+	rm -rf $(VENV) frontend/node_modules app/static build *.egg-info
+
+$(VENV)/.installed: requirements-dev.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Graspwatch needs Python 3.11 or later; found: $$($(PYTHON) --version 2>&1). Set PYTHON=/path/to/python3."; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || \
+		{ echo "A virtual environment cannot be made. On Debian: apt install python3-venv; then repeat."; rm -rf $(VENV); exit 1; }
+	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements-dev.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps -e .
+	@touch $@
+
+app/static/index.html: $(VENV)/.installed $(DASHBOARD_SOURCES) frontend/package-lock.json
+	$(NPM) ci --prefix frontend --no-audit --no-fund --loglevel=error
+	$(NPM) run build --prefix frontend --silent
+	@touch $@

@@ -1,0 +1,99 @@
+"""One turn of the acquisition: read a block, condition it, judge the force, set the next motor command."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from acquisition.blocks import SampleBlock
+from acquisition.limiter import why_stop
+from acquisition.pipeline import Pipeline
+from acquisition.protocol import ProtocolPlayer
+from acquisition.source import Source
+from config.errors import RefusedError
+from config.schema import Conditioning, Protocol, Tool
+
+
+class RunEnd(StrEnum):
+    """How a run ended."""
+
+    FINISHED = "finished"
+    STOPPED = "stopped"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class RunEnded:
+    run_id: str
+    end: RunEnd
+    why: str
+
+
+class Acquisition:
+    """Drives one source. The motor moves only while a run plays its protocol."""
+
+    def __init__(self, source: Source, tool: Tool, conditioning: Conditioning) -> None:
+        self._source = source
+        self._tool = tool
+        self._pipeline = Pipeline(tool, conditioning)
+        self._player: ProtocolPlayer | None = None
+        self._run_id = ""
+        self._ended: list[RunEnded] = []
+        self._command_v = 0.0
+
+    @property
+    def running(self) -> bool:
+        return self._player is not None
+
+    @property
+    def tared(self) -> bool:
+        return self._pipeline.tare.measured
+
+    def start(self, run_id: str, protocol: Protocol, cycles: int) -> None:
+        """Begin a run: the strain gage is tared during the protocol's lead-in.
+
+        Raises:
+            RefusedError: a run is under way, or the protocol passes the tool's limits.
+        """
+        if self.running:
+            raise RefusedError("A run is under way. Stop it first.")
+        player = ProtocolPlayer(protocol, self._tool, cycles)
+        self._pipeline.tare.restart()
+        self._run_id, self._player = run_id, player
+
+    def stop(self, end: RunEnd, why: str) -> bool:
+        """Motor to zero at once, whatever else is the case; returns whether a run was ended by it."""
+        self._write(0.0)
+        if not self.running:
+            return False
+        self._player = None
+        self._ended.append(RunEnded(self._run_id, end, why))
+        return True
+
+    def turn(self) -> SampleBlock | None:
+        """Read and condition the next block and set the command that follows it; None at a recording's end.
+
+        Raises:
+            ToolError: the board failed; the motor has been commanded to zero.
+        """
+        raw = self._source.read_block()
+        if raw is None:
+            return None
+        block = self._pipeline.process(raw)
+        if self._player is not None:
+            why = why_stop(self._tool.limits, block.samples)
+            if why:
+                self.stop(RunEnd.FAILED, why)
+            elif self._player.done:
+                self.stop(RunEnd.FINISHED, "all cycles are done")
+            else:
+                self._write(self._player.advance(len(raw)))
+        return block
+
+    def _write(self, command_v: float) -> None:
+        if command_v != self._command_v or command_v == 0.0:
+            self._source.write_command(command_v)
+            self._command_v = command_v
+
+    def take_ended(self) -> list[RunEnded]:
+        """Runs that ended since the last call."""
+        ended, self._ended = self._ended, []
+        return ended

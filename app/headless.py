@@ -1,0 +1,94 @@
+"""`graspwatch run` and `graspwatch replay` without a service: the same acquisition and estimation, in one process."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from acquisition.control import Acquisition, RunEnd, RunEnded
+from acquisition.pipeline import Pipeline
+from acquisition.recording import Recording
+from acquisition.tools import open_tool
+from config.errors import ToolError
+from config.schema import Protocol, Settings, TissueLibrary, Tool
+from estimator.blocks import GraspRecord
+from estimator.session import EstimationSession
+
+Progress = Callable[[float], None]
+
+
+@dataclass(slots=True)
+class Report:
+    """What `--json` prints. SI units; None where there is no value."""
+
+    source: str
+    library: str
+    rate_hz: float
+    samples: int = 0
+    lost_samples: int = 0
+    grasps: list[GraspRecord] = field(default_factory=list)
+
+    def document(self) -> dict[str, Any]:
+        return {
+            "source": self.source,
+            "samples": self.samples,
+            "lost_samples": self.lost_samples,
+            "duration_s": (self.samples + self.lost_samples) / self.rate_hz,
+            "library": self.library,
+            "grasps": [asdict(grasp) for grasp in self.grasps],
+        }
+
+
+def run_protocol(
+    tool: Tool, library: TissueLibrary, settings: Settings, protocol: Protocol, tissue: str, *,
+    cycles: int, seed: int, real_time: bool, progress: Progress,
+) -> Report:  # fmt: skip
+    """Play a protocol on the simulated grasper and identify what it grasps.
+
+    Raises:
+        RefusedError: the protocol passes the tool's limits.
+        ToolError: the run was ended by the force ceiling or a failing board.
+    """
+    report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz)
+    session = EstimationSession(tool, library, settings)
+    source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
+    with source:
+        acquisition = Acquisition(source, tool, settings.conditioning)
+        acquisition.start("run", protocol, cycles)
+        ended: list[RunEnded] = []
+        while not ended:
+            block = acquisition.turn()
+            if block is None:
+                break
+            report.samples += len(block.samples)
+            report.lost_samples += block.lost_samples
+            report.grasps += session.process(block).ended
+            ended = acquisition.take_ended()
+            progress(report.samples / tool.board.sample_rate_hz)
+    if last := session.finish():
+        report.grasps.append(last)
+    if ended and ended[0].end is RunEnd.FAILED:
+        raise ToolError(f"The run was ended after {len(report.grasps)} grasps with the motor at zero: {ended[0].why}.")
+    return report
+
+
+def replay_recording(
+    path: Path, tool: Tool, library: TissueLibrary, settings: Settings, *, speed: float | None, progress: Progress
+) -> Report:
+    """Take a recording through calibration, conditioning, estimation and identification.
+
+    Raises:
+        RecordingError: the file cannot be read; names file and line.
+    """
+    report = Report(str(path), library.name, tool.board.sample_rate_hz)
+    pipeline = Pipeline(tool, settings.conditioning)
+    session = EstimationSession(tool, library, settings)
+    with Recording(path, tool, speed) as recording:
+        while (raw := recording.read_block()) is not None:
+            report.samples += len(raw)
+            report.lost_samples += raw.lost_samples
+            report.grasps += session.process(pipeline.process(raw)).ended
+            progress(report.samples / recording.samples)
+    if last := session.finish():
+        report.grasps.append(last)
+    return report
