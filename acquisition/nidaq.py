@@ -14,7 +14,7 @@ from nidaqmx.errors import DaqError, DaqReadError, RpcError
 from nidaqmx.errors import Error as DaqBaseError
 from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
-from nidaqmx.system import Device
+from nidaqmx.system import Device, System
 
 from acquisition.source import RawBlock
 from config.errors import RefusedError, ToolError
@@ -244,6 +244,18 @@ def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = N
         Device(tool.board.device, grpc_options=grpc_options).reset_device()
     except _BOARD_ERRORS as error:
         raise ToolError(f"{_explain(error, tool)} {_switch_off(tool)}") from error
+
+
+def check_driver(tool: Tool) -> None:
+    """Find out whether there is a driver at all, before anything else is started.
+
+    Raises:
+        ToolError: there is none.
+    """
+    try:
+        System.local().driver_version  # noqa: B018
+    except _BOARD_ERRORS as error:
+        raise ToolError(_explain(error, tool)) from error
 
 
 def _explain(error: Exception, tool: Tool) -> str:

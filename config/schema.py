@@ -325,8 +325,8 @@ class Conditioning(Model):
 class Identification(Model):
     """When a tissue is named, and what is believed before any data."""
 
-    decide_at: Probability = 0.8
-    withdraw_below: Probability = 0.6
+    decide_at: Probability = 0.7
+    withdraw_below: Probability = 0.5
     prior_unknown: Probability = 0.02
     unknown_spread_log: Positive = 2.5
     convergence_error: Probability = 0.15

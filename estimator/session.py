@@ -27,8 +27,8 @@ class EstimationSession:
         self._thresholds = {name: library.threshold_n(name) for name in library.tissues}
         self._lowest_n = library.lowest_threshold_n
         self._settings = settings.identification
-        self._bank = Bank(tool, library)
-        self._evidence = Evidence(self._bank, self._settings)
+        self.bank = Bank(tool, library)
+        self.evidence = Evidence(self.bank, self._settings)
         self._warnings = ForceWarnings(settings.warnings)
         self._dtype = estimate_dtype(len(library.tissues))
         self._recent = np.zeros(0, SAMPLE)
@@ -84,7 +84,7 @@ class EstimationSession:
             self._in_grasp = True
             self._criteria = self._empty_criteria()
             self._grasp = GraspEstimation(
-                int(last["grasp"]), int(last["grasp_start_tick"]), self._bank, self._evidence, self._settings
+                int(last["grasp"]), int(last["grasp_start_tick"]), self.bank, self.evidence, self._settings
             )
         if self._in_grasp and self._grasp:
             self._follow(self._grasp, window, rows)

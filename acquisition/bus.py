@@ -1,0 +1,136 @@
+"""Messages between the workers over ZeroMQ: blocks and notices one way, commands and their answers the other.
+
+PUB/SUB loses messages silently once a frozen subscriber is full; so every block carries a sequence number, and
+`Receiver` counts what is missing.
+"""
+
+import json
+import secrets
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zmq
+
+from acquisition.blocks import SAMPLE, SampleBlock
+
+MINUTE_OF_BLOCKS = 12_000  # high-water mark: 200 blocks a second for a minute
+
+SAMPLES, ESTIMATES, NOTICE = b"samples", b"estimates", b"notice"
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """Addresses of one service's bus."""
+
+    samples: str
+    estimates: str
+    commands: str
+
+    @classmethod
+    def in_folder(cls, folder: Path) -> "Endpoints":
+        tag = secrets.token_hex(4)
+        return cls(*(f"ipc://{folder}/{name}-{tag}" for name in ("samples", "estimates", "commands")))
+
+
+def publisher(context: zmq.Context, address: str) -> zmq.Socket:
+    socket = context.socket(zmq.PUB)
+    socket.setsockopt(zmq.SNDHWM, MINUTE_OF_BLOCKS)
+    socket.setsockopt(zmq.LINGER, 200)
+    socket.bind(address)
+    return socket
+
+
+def subscriber(context: zmq.Context, *addresses: str) -> Any:
+    """A socket that takes everything published at the addresses (also of `zmq.asyncio`)."""
+    socket = context.socket(zmq.SUB)
+    socket.setsockopt(zmq.RCVHWM, MINUTE_OF_BLOCKS)
+    socket.setsockopt(zmq.SUBSCRIBE, b"")
+    for address in addresses:
+        socket.connect(address)
+    return socket
+
+
+def pack_samples(block: SampleBlock) -> list[bytes]:
+    header = {"sequence": block.sequence, "t_mono_ns": block.t_mono_ns, "lost_samples": block.lost_samples}
+    return [SAMPLES, json.dumps(header).encode(), block.samples.tobytes()]
+
+
+def unpack_samples(parts: list[bytes]) -> SampleBlock:
+    return SampleBlock(**json.loads(parts[1]), samples=np.frombuffer(parts[2], SAMPLE))
+
+
+def pack_notice(kind: str, **content: Any) -> list[bytes]:
+    return [NOTICE, json.dumps({"kind": kind, **content}).encode()]
+
+
+def unpack_notice(parts: list[bytes]) -> dict[str, Any]:
+    return json.loads(parts[1])
+
+
+class SequenceCounter:
+    """Counts blocks that never arrived."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self.missing = 0
+
+    def begins_anew(self, sequence: int) -> bool:
+        """True if the sender was restarted: its blocks are counted from the beginning again."""
+        return self._last is not None and sequence <= self._last
+
+    def take(self, sequence: int) -> None:
+        """Count the blocks missing between the last one and this one."""
+        if self._last is not None and not self.begins_anew(sequence):
+            self.missing += sequence - self._last - 1
+        self._last = sequence
+
+
+# --- commands --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Begin a run of a protocol (its JSON); `tissue` for the simulated tool."""
+
+    run_id: str
+    protocol: str
+    cycles: int
+    tissue: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Motor to zero now; ends a run if there is one."""
+
+    why: str
+
+
+Command = Start | Stop
+_COMMANDS = {"start": Start, "stop": Stop}
+
+
+def pack_command(command: Command) -> bytes:
+    return json.dumps({"command": type(command).__name__.lower(), **asdict(command)}).encode()
+
+
+def unpack_command(message: bytes) -> Command:
+    content = json.loads(message)
+    return _COMMANDS[content.pop("command")](**content)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What became of a command: refused with a reason, or done; `effect` says whether it changed anything."""
+
+    refused: str | None = None
+    effect: bool = True
+
+
+def pack_answer(answer: Answer) -> bytes:
+    return json.dumps(asdict(answer)).encode()
+
+
+def unpack_answer(message: bytes) -> Answer:
+    return Answer(**json.loads(message))

@@ -1,0 +1,104 @@
+"""The web server: REST, WebSocket, metrics, documentation and the dashboard's files."""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI, Request, Response
+from fastapi.staticfiles import StaticFiles
+from fastapi_offline import FastAPIOffline
+from starlette.middleware.base import RequestResponseEndpoint
+
+from app import __version__, problems
+from app.demo import demonstrate
+from app.plan import ServicePlan
+from app.routes import catalogue, live, runs
+from app.station import Station
+from config.errors import ServiceError
+
+STATIC = Path(__file__).parent / "static"
+DEAD_READER_MS = 10_000
+DOCUMENTATION = ("/docs", "/redoc", "/static-offline-docs")
+
+
+def create_app(plan: ServicePlan) -> FastAPI:
+    """The application for a plan; its workers live as long as it does."""
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        station = app.state.station = Station(plan)
+        await station.start()
+        demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
+        try:
+            yield
+        finally:
+            if demo:
+                demo.cancel()
+            await station.stop()
+
+    app = FastAPIOffline(
+        title="Graspwatch",
+        version=__version__,
+        description="Watches a laparoscopic grasper close on tissue. Research instrument, not a medical device.",
+        lifespan=lifespan,
+    )
+    problems.install(app)
+    for router in (runs.router, catalogue.router, live.router):
+        app.include_router(router)
+    app.middleware("http")(_add_security_headers)
+    if (STATIC / "index.html").is_file():
+        app.mount("/", StaticFiles(directory=STATIC, html=True), name="dashboard")
+    else:
+        app.get("/", include_in_schema=False)(_dashboard_missing)
+    return app
+
+
+async def _dashboard_missing() -> Response:
+    return Response("The dashboard has not been built. Run `make dashboard`, then start again.", 503)
+
+
+async def _add_security_headers(request: Request, call_next: RequestResponseEndpoint) -> Response:
+    response = await call_next(request)
+    documentation = request.url.path.startswith(DOCUMENTATION)  # its pages carry a script of their own
+    policy = "default-src 'self' 'unsafe-inline'; img-src 'self' data:" if documentation else "default-src 'self'"
+    response.headers["Content-Security-Policy"] = policy
+    response.headers["X-Content-Type-Options"] = "nosniff"
+    response.headers["Referrer-Policy"] = "no-referrer"
+    return response
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket that gives up on readers that never read.
+
+    Raises:
+        ServiceError: the port is taken or the address is not this machine's.
+    """
+    listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_READER_MS)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise ServiceError(
+            f"Cannot listen on {host}, port {port}: {error.strerror}. Choose another with --port, or end the program "
+            "that uses it."
+        ) from None
+    listener.listen(128)
+    return listener
+
+
+def serve(plan: ServicePlan, listener: socket.socket) -> None:
+    """Serve until SIGINT or SIGTERM."""
+    config = uvicorn.Config(
+        create_app(plan),
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=2,
+    )
+    uvicorn.Server(config).run(sockets=[listener])

@@ -1,0 +1,69 @@
+"""What there is: the tool, its protocols, the tissue library, the service's health and metrics."""
+
+from fastapi import APIRouter, Request, Response
+
+from acquisition.protocol import command_cycle
+from app import __version__
+from app.routes.runs import station_of
+from app.wire import Health, Phase, ProtocolInfo, TissueInfo, ToolInfo
+from config.load import available, load_protocol
+
+router = APIRouter(tags=["catalogue"])
+PREVIEW_POINTS = 200
+
+
+@router.get("/api/health", responses={503: {"model": Health, "description": "Starting, or faulted"}})
+async def health(request: Request, response: Response) -> Health:
+    """Ready once the filters are compiled and samples arrive."""
+    station = request.app.state.station
+    workers = {name: worker.condition.value for name, worker in station.supervisor.workers.items()}
+    phase = station.phase
+    if phase is Phase.FAULTED:
+        status, detail = "faulted", "; ".join(station.alarms.technical_texts()) or "a worker is down"
+    elif phase is Phase.STARTING:
+        status, detail = "starting", "preparing the filters" if not station.estimator_ready.is_set() else "opening the tool"
+    else:
+        status, detail = "ready", phase.value
+    response.status_code = 200 if status == "ready" else 503
+    return Health(status=status, version=__version__, workers=workers, detail=detail)
+
+
+@router.get("/api/tool")
+async def tool(request: Request) -> ToolInfo:
+    """The tool in use."""
+    return station_of(request).tool_info()
+
+
+@router.get("/api/protocols")
+async def protocols(request: Request) -> list[ProtocolInfo]:
+    """The protocols, each with its waveform for a preview."""
+    in_use = station_of(request).plan.tool
+    result = []
+    for name in available("protocols"):
+        protocol = load_protocol(name)
+        command = command_cycle(protocol, in_use)
+        thin = max(len(command) // PREVIEW_POINTS, 1)
+        result.append(
+            ProtocolInfo(
+                name=name,
+                title=protocol.title,
+                cycles=protocol.cycles,
+                cycle_s=protocol.waveform.cycle_s,
+                peak_command_v=float(command.max()),
+                time_s=[i / in_use.board.sample_rate_hz for i in range(0, len(command), thin)],
+                command_v=command[::thin].tolist(),
+            )
+        )
+    return result
+
+
+@router.get("/api/tissues")
+async def tissues(request: Request) -> list[TissueInfo]:
+    """The tissue library in use."""
+    return station_of(request).tissue_infos()
+
+
+@router.get("/metrics", include_in_schema=False)
+async def metrics(request: Request) -> Response:
+    """Prometheus metrics."""
+    return Response(station_of(request).metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")

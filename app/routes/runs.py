@@ -1,0 +1,112 @@
+"""Runs: start, stop, look up."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Request
+
+from acquisition.protocol import ProtocolPlayer
+from app.problems import ProblemError
+from app.station import Station
+from app.wire import Grasp, Problem, Run, RunRequest, StopAnswer
+from config.errors import ConfigurationError, RefusedError, ServiceError
+from config.load import available, choose, load_protocol
+from config.schema import ToolKind
+
+router = APIRouter(prefix="/api", tags=["runs"])
+PROBLEM = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}
+
+
+def station_of(request: Request) -> Station:
+    return request.app.state.station
+
+
+@router.post(
+    "/runs",
+    status_code=HTTPStatus.CREATED,
+    responses={
+        409: {"description": "A run is under way", **PROBLEM},
+        422: {"description": "A field is at fault", **PROBLEM},
+        503: {"description": "The tool does not answer", **PROBLEM},
+    },
+)
+async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> Run:
+    """Start a protocol on the tool."""
+    station = station_of(request)
+    if station.plan.recordings:
+        raise ProblemError(HTTPStatus.CONFLICT, "A recording is being replayed: there is no tool to run.")
+    try:
+        protocol = load_protocol(choose(wanted.protocol, available("protocols"), "protocol"))
+    except ConfigurationError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "protocol") from None
+    cycles = wanted.cycles or protocol.cycles
+    _check_tissue(station, wanted.tissue)
+    try:
+        ProtocolPlayer(protocol, station.plan.tool, cycles)
+    except RefusedError as error:
+        field = "cycles" if "cycles" in str(error) else "protocol"
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), field) from None
+    if station.current:
+        raise ProblemError(HTTPStatus.CONFLICT, f"Run {station.current.id} is under way. Stop it first.")
+    try:
+        return await station.start_run(protocol, cycles, wanted.tissue or station.simulated_tissue)
+    except ServiceError as error:
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+
+
+def _check_tissue(station: Station, tissue: str | None) -> None:
+    if tissue is None:
+        return
+    if station.plan.tool.kind is not ToolKind.SIMULATED:
+        detail = "Only the simulated grasper can be told what it holds. Leave `tissue` out."
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "tissue")
+    try:
+        choose(tissue, list(station.plan.library.tissues), "tissue")
+    except ConfigurationError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "tissue") from None
+
+
+@router.get("/runs")
+async def list_runs(request: Request) -> list[Run]:
+    """All runs since the service started, oldest first."""
+    return list(station_of(request).runs.values())
+
+
+@router.get("/runs/{run_id}", responses={404: {"description": "No such run", **PROBLEM}})
+async def get_run(request: Request, run_id: str) -> Run:
+    """One run."""
+    runs = station_of(request).runs
+    if run_id not in runs:
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no run {run_id!r}. GET /api/runs lists them.")
+    return runs[run_id]
+
+
+@router.get("/runs/{run_id}/grasps", responses={404: {"description": "No such run", **PROBLEM}})
+async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
+    """The finished grasps of a run."""
+    await get_run(request, run_id)
+    return station_of(request).grasps[run_id]
+
+
+@router.post("/runs/{run_id}/stop", responses={404: {"description": "No such run", **PROBLEM}})
+async def stop_run(request: Request, run_id: str) -> StopAnswer:
+    """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
+    run = await get_run(request, run_id)
+    current = station_of(request).current
+    if current is None or current.id != run.id:
+        return StopAnswer(stopped=False, run=run)
+    return await stop(request)
+
+
+@router.post("/stop", responses={503: {"description": "The tool does not answer", **PROBLEM}})
+async def stop(request: Request) -> StopAnswer:
+    """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
+    station = station_of(request)
+    before = station.current
+    try:
+        stopped = await station.stop_run("asked to stop")
+    except ServiceError as error:
+        detail = f"{error} Switch the motor's amplifier off by hand."
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
+    run = station.runs.get(before.id) if before else None
+    return StopAnswer(stopped=stopped, run=run)

@@ -1,0 +1,410 @@
+"""The server's picture of the tool: follows the bus, keeps runs and alarms, tells the viewers, passes commands on."""
+
+import asyncio
+import contextlib
+import time
+from collections import deque
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Any
+
+import zmq
+import zmq.asyncio
+
+from acquisition import bus
+from acquisition.blocks import SampleBlock
+from app import __version__
+from app.alarms import AlarmBook
+from app.frames import FrameBuffer, channels, columns_of
+from app.live import Hub
+from app.metrics import Metrics
+from app.plan import ServicePlan
+from app.supervisor import Condition, Supervisor
+from app.wire import (
+    EventMessage,
+    Grasp,
+    GraspEnded,
+    Hello,
+    Identification,
+    Phase,
+    Priority,
+    Run,
+    RunState,
+    State,
+    TissueInfo,
+    ToolInfo,
+    ToolKind,
+)
+from config.errors import ServiceError
+from config.schema import Protocol
+from estimator.blocks import blank_estimates, estimate_dtype
+from estimator.worker import ReceivedEstimates, unpack_estimates
+
+ANSWER_S = 0.5
+ESTIMATES_LATE_S = 0.1  # samples are shown without estimates when these take longer
+SILENCE_S = 0.25
+IDENTIFICATIONS_HZ = 10.0
+
+
+def now_ms() -> float:
+    return time.time() * 1e3
+
+
+class Station:
+    """One tool, its runs, its viewers."""
+
+    def __init__(self, plan: ServicePlan) -> None:
+        self.plan = plan
+        self.metrics = Metrics()
+        self.hub = Hub(plan.settings.server.chart_window_frames)
+        self.alarms = AlarmBook(self.hub.broadcast)
+        self.supervisor = Supervisor(plan, self._on_death)
+        self.runs: dict[str, Run] = {}
+        self.grasps: dict[str, list[Grasp]] = {}
+        self.current: Run | None = None
+        self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED and not plan.recordings else None
+        self._context = zmq.asyncio.Context()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._tissues = list(plan.library.tissues)
+        history = int(plan.settings.server.history_s * plan.tool.board.sample_rate_hz)
+        self._frames = FrameBuffer(history)
+        self._waiting: deque[SampleBlock] = deque()  # samples whose estimates are still to come
+        self._samples = bus.SequenceCounter()
+        self._estimates = bus.SequenceCounter()
+        self._last_sample_s = 0.0
+        self._last_estimate_s = 0.0
+        self._rate: deque[tuple[float, int]] = deque(maxlen=400)
+        self._latency_ms: float | None = None
+        self.lost_samples = 0
+        self._identification: Identification | None = None
+        self._told_s = 0.0
+        self._recording_ended = False
+        self._clock_offset_ms = now_ms() - time.monotonic() * 1e3
+        self.estimator_ready = asyncio.Event()
+
+    # --- life --------------------------------------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Start the workers: first the estimator, whose filters may have to be compiled, then the tool."""
+        self._tasks.append(asyncio.create_task(self._listen(self.supervisor.endpoints.estimates, self._on_estimator)))
+        self._tasks.append(asyncio.create_task(self._listen(self.supervisor.endpoints.samples, self._on_acquisition)))
+        self._tasks.append(asyncio.create_task(self._tick()))
+        self.supervisor.start_estimator()
+        self._tasks.append(asyncio.create_task(self._start_tool()))
+
+    async def _start_tool(self) -> None:
+        await self.estimator_ready.wait()
+        self.supervisor.start_acquisition()
+
+    async def stop(self) -> None:
+        """Motor to zero, workers ended."""
+        if self.current:
+            await self.stop_run("the service was ended")
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self.supervisor.stop()
+        self._context.destroy(linger=0)
+
+    # --- commands ----------------------------------------------------------------------------------------------------
+
+    async def start_run(self, protocol: Protocol, cycles: int, tissue: str | None) -> Run:
+        """Start a protocol.
+
+        Raises:
+            ServiceError: the acquisition does not answer or refuses; the text says why.
+        """
+        run_id = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{len(self.runs) + 1:03d}"
+        run = Run(
+            id=run_id, protocol=protocol.name, cycles=cycles, tissue=tissue, state=RunState.RUNNING,
+            started_at=datetime.now(UTC).isoformat(), ended_at=None, why=None, grasps=0,
+        )  # fmt: skip
+        self.current = run  # before the answer: nobody else may start meanwhile
+        answer = await self._command(bus.Start(run_id, protocol.model_dump_json(), cycles, tissue))
+        if answer.refused:
+            self.current = None
+            raise ServiceError(answer.refused)
+        self.runs[run_id], self.grasps[run_id] = run, []
+        self.simulated_tissue = tissue or self.simulated_tissue
+        self._event(f"Run started: {protocol.title}, {cycles} grasps" + (f", {tissue}" if tissue else ""))
+        self.tell_state()
+        return run
+
+    async def stop_run(self, why: str) -> bool:
+        """Motor to zero at once; returns whether a run was stopped. Never refuses.
+
+        Raises:
+            ServiceError: the acquisition does not answer; its motor is zeroed by the supervisor when it has died.
+        """
+        answer = await self._command(bus.Stop(why))
+        if answer.refused:
+            raise ServiceError(answer.refused)
+        if answer.effect and self.current:
+            self._end_run(self.current.id, RunState.STOPPED, why)
+        self._event("Stopped: the motor is at zero" + (f" ({why})" if why else ""))
+        return answer.effect
+
+    async def _command(self, command: bus.Command) -> bus.Answer:
+        socket = self._context.socket(zmq.REQ)
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.connect(self.supervisor.endpoints.commands)
+        try:
+            await socket.send(bus.pack_command(command))
+            return bus.unpack_answer(await asyncio.wait_for(socket.recv(), ANSWER_S))
+        except TimeoutError:
+            return bus.Answer(refused="The acquisition worker does not answer. See the alarms, then try again.")
+        finally:
+            socket.close()
+
+    # --- what the workers say ----------------------------------------------------------------------------------------
+
+    async def _listen(self, address: str, take: Any) -> None:
+        socket = bus.subscriber(self._context, address)
+        try:
+            while True:
+                take(await socket.recv_multipart())
+        finally:
+            socket.close()
+
+    def _on_acquisition(self, parts: list[bytes]) -> None:
+        if parts[0] == bus.NOTICE:
+            self._on_notice(bus.unpack_notice(parts))
+            return
+        block = bus.unpack_samples(parts)
+        now = time.monotonic()
+        if not self._last_sample_s:
+            self.supervisor.workers["acquisition"].condition = Condition.RUNNING
+        self._samples.take(block.sequence)
+        self._last_sample_s = now
+        self._rate.append((now, len(block.samples)))
+        self.metrics.samples.inc(len(block.samples))
+        self._count_lost(block.lost_samples)
+        self.metrics.missing_blocks.labels("server").set(self._samples.missing + self._estimates.missing)
+        self._waiting.append(block)
+
+    def _count_lost(self, samples: int) -> None:
+        if samples:
+            self.lost_samples += samples
+            self.metrics.lost_samples.inc(samples)
+            self.alarms.raise_technical("lost", Priority.LOW, f"{self.lost_samples} samples lost so far")
+
+    def _on_estimator(self, parts: list[bytes]) -> None:
+        if parts[0] == bus.NOTICE:
+            self._on_notice(bus.unpack_notice(parts))
+            return
+        received = unpack_estimates(parts, len(self._tissues))
+        self._last_estimate_s = time.monotonic()
+        self._estimates.take(received.block.sequence)
+        self._latency_ms = (received.published_ns - received.block.t_mono_ns) / 1e6
+        self.metrics.estimate_latency.observe(self._latency_ms / 1e3)
+        self.metrics.missing_blocks.labels("estimator").set(received.missing_blocks)
+        self._join(received)
+        self._tell(received)
+
+    def _on_notice(self, notice: dict[str, Any]) -> None:
+        match notice["kind"]:
+            case "compiling":
+                self._event("Preparing the filters (compiled on the first start, which takes up to a minute)")
+            case "estimating":
+                self.supervisor.workers["estimator"].condition = Condition.RUNNING
+                self.estimator_ready.set()
+            case "acquiring":
+                self._event("The tool is acquiring" + ("" if notice["realtime"] else ", without real-time priority"))
+            case "recording":
+                self._event(f"Replaying {notice['name']}")
+            case "ended":
+                self._recording_ended = True
+                self._event("The recording has ended")
+            case "fault":
+                self.alarms.raise_technical(notice["worker"], Priority.HIGH, notice["text"])
+            case "run_ended":
+                self._end_run(notice["run_id"], RunState(notice["end"]), notice["why"])
+        self.tell_state()
+
+    def _join(self, received: ReceivedEstimates | None) -> None:
+        """Put samples and their estimates together; samples whose estimates are lost go without."""
+        sequence = received.block.sequence if received else -1
+        while self._waiting:
+            block = self._waiting[0]
+            late = time.monotonic_ns() - block.t_mono_ns > ESTIMATES_LATE_S * 1e9
+            if block.sequence == sequence and received:
+                estimates = received.block.estimates
+            elif late or (received and block.sequence < sequence):
+                estimates = blank_estimates(estimate_dtype(len(self._tissues)), block.samples["tick"])
+            else:
+                return
+            self._waiting.popleft()
+            columns = columns_of(block.samples, estimates, len(self._tissues))
+            newest_ms = block.t_mono_ns / 1e6 + self._clock_offset_ms
+            self._frames.add(int(block.samples["tick"][0]), columns, newest_ms)
+
+    def _tell(self, received: ReceivedEstimates) -> None:
+        """Identification, finished grasps and force alarms to the viewers."""
+        block = received.block
+        message = Identification(server_time_ms=now_ms(), **asdict(block.identification))
+        before, self._identification = self._identification, message
+        changed = before is None or (before.label, before.in_grasp, before.grasp) != (
+            message.label, message.in_grasp, message.grasp,
+        )  # fmt: skip
+        due = message.in_grasp and time.monotonic() - self._told_s > 1.0 / IDENTIFICATIONS_HZ
+        if changed or due:
+            self._told_s = time.monotonic()
+            self.hub.broadcast(message)
+        for alarm in block.alarms:
+            self.alarms.force(alarm)
+        for record in block.ended:
+            self._keep_grasp(Grasp(**asdict(record)))
+
+    def _keep_grasp(self, grasp: Grasp) -> None:
+        self.metrics.grasps.labels(grasp.label).inc()
+        run = self.current
+        if run:
+            grasp = grasp.model_copy(update={"index": len(self.grasps[run.id]) + 1})
+            self.grasps[run.id].append(grasp)
+            self._change_run(run.id, grasps=len(self.grasps[run.id]))
+        self.hub.broadcast(GraspEnded(run_id=run.id if run else None, grasp=grasp))
+
+    def _end_run(self, run_id: str, state: RunState, why: str) -> None:
+        if not self.current or self.current.id != run_id:
+            return
+        self._change_run(run_id, state=state, why=why, ended_at=datetime.now(UTC).isoformat())
+        self.current = None
+        self._event(f"Run {state.value}: {why}")
+        if state is RunState.FAILED:
+            self.alarms.raise_technical("run", Priority.HIGH, f"The run was ended with the motor at zero: {why}")
+        self.tell_state()
+
+    def _change_run(self, run_id: str, **changes: Any) -> None:
+        self.runs[run_id] = self.runs[run_id].model_copy(update=changes)
+        if self.current and self.current.id == run_id:
+            self.current = self.runs[run_id]
+
+    def _on_death(self, worker: str, text: str) -> None:
+        self.metrics.worker_deaths.labels(worker).inc()
+        self.alarms.raise_technical(worker, Priority.HIGH, text)
+        self._event(text)
+        if worker == "acquisition" and self.current:
+            self._end_run(self.current.id, RunState.FAILED, "the acquisition worker died")
+        self.tell_state()
+
+    # --- what the viewers get ----------------------------------------------------------------------------------------
+
+    async def _tick(self) -> None:
+        """Cut frames at a steady rate; once a second tell the state; watch for silence."""
+        period_s = 1.0 / self.plan.settings.server.frame_rate_hz
+        due, told_s = time.monotonic(), 0.0
+        while True:
+            due += period_s
+            await asyncio.sleep(max(due - time.monotonic(), 0.0))
+            due = max(due, time.monotonic() - period_s)
+            self._join(None)
+            for frame in self._frames.cut():
+                self.hub.broadcast_frame(frame)
+            self.metrics.viewers.set(len(self.hub.viewers))
+            self._watch()
+            if time.monotonic() - told_s >= 1.0:
+                told_s = time.monotonic()
+                self.tell_state()
+
+    def _watch(self) -> None:
+        """Raise a technical alarm while a worker is silent, and end it when it speaks again."""
+        now = time.monotonic()
+        flowing = now - self._last_sample_s < SILENCE_S
+        if self._last_sample_s and not flowing and not self._recording_ended:
+            self.alarms.raise_technical("samples", Priority.HIGH, "No samples arrive from the tool")
+        elif flowing:
+            self.alarms.end("samples")
+            self.alarms.end("acquisition")
+        if flowing and self._last_estimate_s and now - self._last_estimate_s > SILENCE_S:
+            self.alarms.raise_technical("estimates", Priority.MEDIUM, "No estimates arrive: the tissue is not watched")
+        elif now - self._last_estimate_s < SILENCE_S:
+            self.alarms.end("estimates")
+            self.alarms.end("estimator")
+
+    @property
+    def phase(self) -> Phase:
+        conditions = {name: worker.condition for name, worker in self.supervisor.workers.items()}
+        if Condition.FAULTED in conditions.values():
+            return Phase.FAULTED
+        if self._recording_ended:
+            return Phase.ENDED
+        if set(conditions.values()) != {Condition.RUNNING}:
+            return Phase.STARTING
+        if self.plan.recordings:
+            return Phase.REPLAYING
+        return Phase.RUNNING if self.current else Phase.IDLE
+
+    def _rate_hz(self) -> float:
+        if len(self._rate) < 2 or time.monotonic() - self._rate[-1][0] > 1.0:
+            return 0.0
+        return sum(n for _, n in list(self._rate)[1:]) / (self._rate[-1][0] - self._rate[0][0])
+
+    def state(self) -> State:
+        last_run = next(reversed(self.runs.values()), None)
+        return State(
+            server_time_ms=now_ms(),
+            phase=self.phase,
+            run=self.current,
+            last_run=last_run,
+            simulated_tissue=self.simulated_tissue,
+            demo=self.plan.demo,
+            rate_hz=self._rate_hz(),
+            lost_samples=self.lost_samples,
+            estimator_latency_ms=self._latency_ms,
+            viewers=len(self.hub.viewers),
+            faults=self.alarms.technical_texts(),
+        )
+
+    def tell_state(self) -> None:
+        self.hub.broadcast(self.state())
+
+    def _event(self, text: str) -> None:
+        self.hub.broadcast(EventMessage(server_time_ms=now_ms(), text=text))
+
+    def hello(self) -> Hello:
+        library, shares = self.plan.library, self.plan.settings.warnings
+        return Hello(
+            version=__version__,
+            server_time_ms=now_ms(),
+            tool=self.tool_info(),
+            library=library.name,
+            tissues=self.tissue_infos(),
+            lowest_threshold_n=library.lowest_threshold_n,
+            warning_shares=[shares.low, shares.medium, shares.high],
+            channels=channels(self._tissues),
+            frame_rate_hz=self.plan.settings.server.frame_rate_hz,
+        )
+
+    def greeting(self) -> tuple[list[Any], list[bytes]]:
+        """What a new viewer gets first: messages, and the last seconds of samples."""
+        messages: list[Any] = [self.hello(), self.state(), *self.alarms.active()]
+        with contextlib.suppress(KeyError):
+            run = self.current or next(reversed(self.runs.values()), None)
+            if run:
+                messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.grasps[run.id]]
+        if self._identification:
+            messages.append(self._identification)
+        return messages, self._frames.history()
+
+    def tool_info(self) -> ToolInfo:
+        tool = self.plan.tool
+        return ToolInfo(
+            name=tool.name,
+            title=tool.title,
+            kind=ToolKind.RECORDING if self.plan.recordings else tool.kind,
+            sample_rate_hz=tool.board.sample_rate_hz,
+            max_command_v=tool.limits.max_command_v,
+            force_ceiling_n=tool.limits.force_ceiling_n,
+            calibration_date=tool.calibration.date,
+        )
+
+    def tissue_infos(self) -> list[TissueInfo]:
+        library = self.plan.library
+        return [
+            TissueInfo(
+                name=name, title=profile.title, alpha_n=profile.alpha_n, beta_per_m=profile.beta_per_m,
+                damping_kg_per_s=profile.damping_kg_per_s, thickness_m=profile.thickness_m,
+                threshold_n=library.threshold_n(name),
+            )
+            for name, profile in library.tissues.items()
+        ]  # fmt: skip

@@ -1,0 +1,126 @@
+"""Starts the two workers, notices their death within milliseconds, and restarts them a bounded number of times."""
+
+import asyncio
+import multiprocessing
+import os
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from acquisition import worker as acquisition_worker
+from acquisition.bus import Endpoints
+from acquisition.nidaq import reset_device
+from app.plan import ServicePlan
+from config.errors import ToolError
+from config.schema import ToolKind
+from estimator import worker as estimator_worker
+
+RESTARTS_A_MINUTE = 3
+ENDING_S = 3.0
+
+
+class Condition(StrEnum):
+    """How a worker is."""
+
+    STARTING = "starting"
+    RUNNING = "running"
+    ENDED = "ended"
+    FAULTED = "faulted"
+
+
+@dataclass(slots=True)
+class Worker:
+    name: str
+    main: Callable[[Any], None]
+    setup: Any
+    process: BaseProcess | None = None
+    condition: Condition = Condition.STARTING
+    deaths: deque[float] = field(default_factory=lambda: deque(maxlen=RESTARTS_A_MINUTE + 1))
+
+
+class Supervisor:
+    """Owns the worker processes of one service."""
+
+    def __init__(self, plan: ServicePlan, on_death: Callable[[str, str], None]) -> None:
+        """`on_death(worker, text)` is called in the event loop when a worker has died unasked."""
+        self._plan = plan
+        self._on_death = on_death
+        self._folder = tempfile.TemporaryDirectory(prefix="graspwatch-")
+        self.endpoints = Endpoints.in_folder(Path(self._folder.name))
+        self._context = multiprocessing.get_context("spawn")
+        self._ending = False
+        acquisition = acquisition_worker.Setup(
+            os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings.conditioning,
+            plan.tissue, plan.seed, plan.recordings, plan.speed,
+        )  # fmt: skip
+        estimator = estimator_worker.Setup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
+        self.workers = {
+            "acquisition": Worker("acquisition", acquisition_worker.main, acquisition),
+            "estimator": Worker("estimator", estimator_worker.main, estimator),
+        }
+
+    def start_estimator(self) -> None:
+        self._start(self.workers["estimator"])
+
+    def start_acquisition(self) -> None:
+        self._start(self.workers["acquisition"])
+
+    def _start(self, worker: Worker) -> None:
+        process = self._context.Process(target=worker.main, args=(worker.setup,), name=f"graspwatch-{worker.name}")
+        process.start()
+        worker.process, worker.condition = process, Condition.STARTING
+        asyncio.get_running_loop().add_reader(process.sentinel, self._died, worker, process)
+
+    def _died(self, worker: Worker, process: BaseProcess) -> None:
+        asyncio.get_running_loop().remove_reader(process.sentinel)
+        process.join()
+        if self._ending:
+            return
+        if process.exitcode == 0:
+            worker.condition = Condition.ENDED
+            return
+        if worker.name == "acquisition":
+            self._zero_motor()
+        worker.deaths.append(time.monotonic())
+        often = len(worker.deaths) > RESTARTS_A_MINUTE and worker.deaths[-1] - worker.deaths[0] < 60.0
+        final = often or process.exitcode == ToolError.exit_code
+        worker.condition = Condition.FAULTED if final else Condition.STARTING
+        how = f"signal {-process.exitcode}" if process.exitcode < 0 else f"exit code {process.exitcode}"
+        what = "it stays down: mend the cause and start the service again" if final else "it is being restarted"
+        self._on_death(worker.name, f"The {worker.name} worker died ({how}); {what}.")
+        if not final:
+            self._start(worker)
+
+    def _zero_motor(self) -> None:
+        """The board holds its last output when its owner dies; only a reset brings it to zero."""
+        if self._plan.tool.kind is not ToolKind.NIDAQ or self._plan.recordings:
+            return
+        try:
+            reset_device(self._plan.tool)
+        except ToolError as error:
+            self._on_death("acquisition", f"The motor could not be reset: {error} Switch its amplifier off by hand.")
+
+    async def stop(self) -> None:
+        """End the workers in order; what does not end is killed."""
+        self._ending = True
+        processes = [worker.process for worker in self.workers.values() if worker.process]
+        for process in processes:
+            if process.is_alive():
+                process.terminate()
+        await asyncio.to_thread(self._join, processes)
+        self._folder.cleanup()
+
+    @staticmethod
+    def _join(processes: list[BaseProcess]) -> None:
+        deadline = time.monotonic() + ENDING_S
+        for process in processes:
+            process.join(max(deadline - time.monotonic(), 0.0))
+            if process.is_alive():
+                process.kill()
+                process.join()

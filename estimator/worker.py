@@ -1,0 +1,110 @@
+"""The estimator worker: a process that turns sample blocks into estimate blocks."""
+
+import json
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import zmq
+
+from acquisition import bus
+from acquisition.process import ask_for_realtime, become_worker, calm_garbage_collector
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.alarms import ForceAlarm
+from estimator.bank import Contact
+from estimator.blocks import EstimateBlock, GraspRecord, Identification, estimate_dtype
+from estimator.session import EstimationSession
+
+REALTIME_PRIORITY = 70
+POLL_MS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """All that the worker needs to know."""
+
+    parent_pid: int
+    endpoints: bus.Endpoints
+    tool: Tool
+    library: TissueLibrary
+    settings: Settings
+
+
+def main(setup: Setup) -> None:
+    """Run until a signal. Says when its filters are compiled and ready."""
+    stop = become_worker(setup.parent_pid)
+    context = zmq.Context()
+    samples = bus.subscriber(context, setup.endpoints.samples)
+    publisher = bus.publisher(context, setup.endpoints.estimates)
+    publisher.send_multipart(bus.pack_notice("compiling"))
+    warm_up(setup)
+    calm_garbage_collector()
+    ask_for_realtime(REALTIME_PRIORITY)
+    session = EstimationSession(setup.tool, setup.library, setup.settings)
+    counter = bus.SequenceCounter()
+    last_ready = 0.0
+    try:
+        while not stop.set:
+            if time.monotonic() - last_ready > 1.0:  # repeated: a subscriber may have come late
+                publisher.send_multipart(bus.pack_notice("estimating"))
+                last_ready = time.monotonic()
+            if not samples.poll(POLL_MS):
+                continue
+            parts = samples.recv_multipart()
+            if parts[0] != bus.SAMPLES:
+                continue
+            block = bus.unpack_samples(parts)
+            if counter.begins_anew(block.sequence):
+                session = EstimationSession(setup.tool, setup.library, setup.settings)
+            counter.take(block.sequence)
+            estimate = session.process(block)
+            publisher.send_multipart(pack_estimates(estimate, counter.missing))
+    finally:
+        context.destroy(linger=200)
+
+
+def warm_up(setup: Setup) -> None:
+    """Compile the filters, or load them from the cache, before anything depends on them."""
+    session = EstimationSession(setup.tool, setup.library, setup.settings)
+    one = np.full(1, 0.01)
+    session.bank.start(Contact(force_n=0.01, metre_per_volt=-0.006))
+    session.bank.advance(one, one * 1e-3, one * 700, -one)
+    session.evidence.probabilities()
+
+
+def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:
+    header = {
+        "sequence": block.sequence,
+        "t_mono_ns": block.t_mono_ns,
+        "published_ns": time.monotonic_ns(),
+        "lost_samples": block.lost_samples,
+        "missing_blocks": missing_blocks,
+        "identification": asdict(block.identification),
+        "ended": [asdict(grasp) for grasp in block.ended],
+        "alarms": [asdict(alarm) for alarm in block.alarms],
+    }
+    return [bus.ESTIMATES, json.dumps(header).encode(), block.estimates.tobytes()]
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedEstimates:
+    """An estimate block on the other side, with when it was published and what the estimator missed so far."""
+
+    block: EstimateBlock
+    published_ns: int
+    missing_blocks: int
+
+
+def unpack_estimates(parts: list[bytes], tissues: int) -> ReceivedEstimates:
+    header: dict[str, Any] = json.loads(parts[1])
+    block = EstimateBlock(
+        header["sequence"],
+        header["t_mono_ns"],
+        header["lost_samples"],
+        np.frombuffer(parts[2], estimate_dtype(tissues)),
+        Identification(**header["identification"]),
+        tuple(GraspRecord(**grasp) for grasp in header["ended"]),
+        tuple(ForceAlarm(**alarm) for alarm in header["alarms"]),
+    )
+    return ReceivedEstimates(block, header["published_ns"], header["missing_blocks"])
