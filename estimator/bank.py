@@ -81,10 +81,10 @@ class Bank:
     def __init__(self, tool: Tool, library: TissueLibrary) -> None:
         self.priors = Priors.of(library)
         self.filter_sd = self.priors.sd * PRIOR_WIDENING
-        self._dt_s = 1.0 / tool.board.sample_rate_hz
-        self._strain_var = tool.noise.strain_sd_v**2 + tool.noise.strain_lsb_v**2 / 12
+        self.dt_s = 1.0 / tool.board.sample_rate_hz
+        self.strain_var = tool.noise.strain_sd_v**2 + tool.noise.strain_lsb_v**2 / 12
         self._settings = np.array([
-            self._dt_s, library.mass_kg, self._strain_var, FORCE_NOISE_SD_N**2, DISPLACEMENT_FLOOR_SD_M**2,
+            self.dt_s, library.mass_kg, self.strain_var, FORCE_NOISE_SD_N**2, DISPLACEMENT_FLOOR_SD_M**2,
         ])  # fmt: skip
         self.state = self._blank()
 
@@ -110,10 +110,10 @@ class Bank:
             x_var = CONTACT_SD_M**2 + unfelt_m**2
             mean[X], mean[V] = CONTACT_PAST_M + 0.5 * unfelt_m, first.velocity_m_per_s
             mean[OFFSET] = -mean[X]
-            np.fill_diagonal(cov, [x_var, VELOCITY_SD_M_PER_S**2, *sd**2, x_var, self._strain_var])
+            np.fill_diagonal(cov, [x_var, VELOCITY_SD_M_PER_S**2, *sd**2, x_var, self.strain_var])
             cov[X, OFFSET] = cov[OFFSET, X] = -x_var
-            cov[OFFSET, STRAIN] = cov[STRAIN, OFFSET] = -first.metre_per_volt * self._strain_var
-            cov[OFFSET, OFFSET] += first.metre_per_volt**2 * self._strain_var
+            cov[OFFSET, STRAIN] = cov[STRAIN, OFFSET] = -first.metre_per_volt * self.strain_var
+            cov[OFFSET, OFFSET] += first.metre_per_volt**2 * self.strain_var
 
     def advance(
         self, force_n: np.ndarray, displacement_m: np.ndarray, newton_per_volt: np.ndarray, metre_per_volt: np.ndarray
