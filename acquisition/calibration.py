@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.schema import Geometry, Tool
+from config.schema import Tool
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSign
 
 
 def from_jaw(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, float]:
-    """Tared strain voltage (V) and encoder angle (degrees) that give this jaw force and displacement: inverse of `to_jaw`.
+    """Tared strain voltage (V) and encoder angle (degrees) of a jaw force and displacement: inverse of `to_jaw`.
 
     Raises:
         ValueError: the jaws cannot be there; the text gives the range.

@@ -48,7 +48,8 @@ class GraspTracker:
 
     A grasp begins where the command leaves zero (known a few samples later, back-dated) and ends where it returns.
     Contact comes from the touch sensors where the tool trusts them, else from the strain rising over its lowest level
-    since the grasp began. Shut jaws show as strain that rises while the encoder advances no more than the cable stretches.
+    since the grasp began. Shut jaws show as strain that rises while the encoder advances no more than the cable
+    stretches.
     """
 
     def __init__(self, detection: ContactDetection, stretch_deg_per_volt: float) -> None:
@@ -61,9 +62,7 @@ class GraspTracker:
         self.grasp = _Grasp(index=0, start_tick=-1, encoder_zero_deg=0.0)
         self.walked = False
 
-    def update(
-        self, tick: int, command_v: float, strain_v: float, encoder_deg: float, touched: bool
-    ) -> int:
+    def update(self, tick: int, command_v: float, strain_v: float, encoder_deg: float, touched: bool) -> int:
         """Take one sample (strain tared); returns its flags."""
         if not self._recent:
             self.grasp.encoder_zero_deg = encoder_deg

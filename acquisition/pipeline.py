@@ -10,12 +10,13 @@ from acquisition.source import RawBlock
 from config.schema import Calibration, Conditioning, Tool
 
 TARE_SAMPLES = 200
+TRACKED = ("grasp", "grasp_start_tick", "contact_tick", "wall_tick", "flags")
 NOTHING, INVALID, SATURATED = np.uint16(0), np.uint16(Flag.INVALID), np.uint16(Flag.SATURATED)
 KEPT_DISPLACEMENTS = BACKDATE_SAMPLES
 
 
 class Tare:
-    """The strain gage's rest voltage: the mean of the first samples at rest, or the tool file's until there are some."""
+    """The strain gage's rest voltage: the mean of the first samples at rest, or until then the tool file's."""
 
     def __init__(self, calibration: Calibration) -> None:
         self._nominal_v = calibration.rest_offset_v
@@ -98,10 +99,10 @@ class Pipeline:
             grasp = self._tracker.grasp
             contact, wall = (grasp.contact_tick, grasp.wall_tick) if flags else (-1, -1)
             rows.append((grasp.index, grasp.start_tick, contact, wall, flags, grasp.encoder_zero_deg))
-        columns = np.array(rows).T
-        for name, column in zip(("grasp", "grasp_start_tick", "contact_tick", "wall_tick", "flags"), columns, strict=False):
+        *columns, encoder_zero = np.array(rows).T
+        for name, column in zip(TRACKED, columns, strict=True):
             samples[name] = column
-        return columns[5]
+        return encoder_zero
 
     def _since_contact(self, samples: np.ndarray) -> np.ndarray:
         """Jaw displacement since the first touch of the grasp under way, m; NaN while nothing is held."""

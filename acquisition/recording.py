@@ -78,7 +78,7 @@ def _find_headings(path: Path, lines: list[str]) -> int:
         )
     if len(ends) > 2:
         raise RecordingError(
-            f"{path}, line {ends[2] + 1}: a second measurement begins here; only one a file can be read. Split the file."
+            f"{path}, line {ends[2] + 1}: a second measurement begins here; a file may hold one. Split it."
         )
     return ends[1] + 1
 

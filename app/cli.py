@@ -12,7 +12,7 @@ from rich.table import Table
 
 from app import __version__
 from config.errors import ConfigurationError, GraspwatchError
-from config.load import available, choose, load_library, load_protocol, load_settings, load_tool
+from config.load import choose, load_library, load_protocol, load_settings, load_tool
 from config.schema import ToolKind
 
 app = typer.Typer(
@@ -27,12 +27,12 @@ app = typer.Typer(
 errors = Console(stderr=True, highlight=False)
 
 LibraryOption = Annotated[
-    str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name of config/tissues, or a file.")
+    str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Of the simulated specimens and noise; the same seed, the same grasps.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens and noise; the same seed gives the same grasps.")]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of the shipped config/graspwatch.toml.")
+    Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of config/graspwatch.toml.")
 ]
 
 
@@ -50,7 +50,7 @@ def serve(
     tool: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="`simulated`, `nidaq` (a real NI board), or a tool file.")
     ] = None,
-    tissue: Annotated[str | None, typer.Option(help="What the simulated grasper holds; default: the library's first.")] = None,
+    tissue: Annotated[str | None, typer.Option(help="What the simulated grasper holds first.")] = None,
     seed: SeedOption = 0,
     host: Annotated[str | None, typer.Option(help="Address to listen on; 0.0.0.0 for the whole network.")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen on; 0 for a free one.")] = None,
@@ -66,7 +66,7 @@ def serve(
     settings = load_settings(config)
     chosen, library = load_tool(tool or settings.tool), load_library(settings.library)
     if chosen.kind is ToolKind.RECORDING:
-        raise ConfigurationError(f"The tool {chosen.name!r} describes recordings. Use `graspwatch replay FILE --serve`.")
+        raise ConfigurationError(f"The tool {chosen.name!r} is for recordings. Use `graspwatch replay FILE --serve`.")
     if chosen.kind is not ToolKind.SIMULATED and (tissue or demo):
         raise ConfigurationError("--tissue and --demo are for the simulated grasper; leave them out for a real tool.")
     held = choose(tissue, list(library.tissues), "tissue") if tissue else next(iter(library.tissues))
@@ -85,7 +85,7 @@ def run(
     seed: SeedOption = 0,
     library: LibraryOption = None,
     config: ConfigOption = None,
-    real_time: Annotated[bool, typer.Option("--real-time", help="As slow as life, instead of as fast as it goes.")] = False,
+    real_time: Annotated[bool, typer.Option("--real-time", help="As slow as life, not as fast as it goes.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run a protocol on the simulated grasper, without a service, and print what was identified.
@@ -115,7 +115,8 @@ def replay(
         str, typer.Option(metavar="NAME|FILE", help="Tool file with the recording's channels and calibration.")
     ] = "smart_tool_2013",
     speed: Annotated[
-        float | None, typer.Option(min=0.01, max=1000, help="Times real time; default: as fast as it goes (1 with --serve).")
+        float | None,
+        typer.Option(min=0.01, max=1000, help="Times real time; default: as fast as it goes, or 1 with --serve."),
     ] = None,
     serve_it: Annotated[bool, typer.Option("--serve", help="Watch it in the dashboard.")] = False,
     host: Annotated[str | None, typer.Option(help="With --serve: address to listen on.")] = None,

@@ -112,7 +112,7 @@ class RunRequest(Wire):
     )
 
     protocol: str = Field(description="Name of a protocol, see GET /api/protocols")
-    cycles: Annotated[int, Field(ge=1, le=10_000)] | None = Field(None, description="Grasps; the protocol's own if null")
+    cycles: Annotated[int, Field(ge=1, le=10_000)] | None = Field(None, description="Grasps; null: the protocol's")
     tissue: str | None = Field(None, description="What the simulated grasper holds; refused for a real tool")
 
 
@@ -250,7 +250,7 @@ ServerMessage = Annotated[
 class StopAnswer(Wire):
     """What a stop did."""
 
-    stopped: bool = Field(description="True if a run was stopped; false if nothing ran. The motor is at zero either way")
+    stopped: bool = Field(description="Whether a run was stopped. The motor is at zero either way")
     run: Run | None
 
 

@@ -49,9 +49,7 @@ def schema() -> dict[str, Any]:
         (SENT_BY_BROWSER, "validation"),
     ]
     inputs = [(name, mode, TypeAdapter(kind)) for kinds, mode in modes for name, kind in kinds.items()]
-    roots, rest = TypeAdapter.json_schemas(
-        inputs, ref_template="#/$defs/{model}", schema_generator=_ForTypeScript
-    )
+    roots, rest = TypeAdapter.json_schemas(inputs, ref_template="#/$defs/{model}", schema_generator=_ForTypeScript)
     definitions = dict(rest["$defs"])
     for (name, _), root in roots.items():
         definitions.setdefault(name, root)

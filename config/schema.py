@@ -362,4 +362,3 @@ class Settings(Model):
     conditioning: Conditioning = Conditioning()
     identification: Identification = Identification()
     warnings: Warnings = Warnings()
-

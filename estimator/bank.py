@@ -1,6 +1,6 @@
 """The bank of extended Kalman filters, one a tissue, compiled.
 
-State of each filter: [x, x', log alpha, log beta, log d, offset, strain noise]. Logarithms keep the parameters positive.
+State of each filter: [x, x', log alpha, log beta, log d, offset, strain noise]. Logarithms keep parameters positive.
 `offset` is what the displacement at contact is wrong by. `strain noise` is the strain gage's error of the present
 sample, V: it enters the force (input) and the displacement (measurement) together, Eqs. (1) and (3), so it has to be
 a state for their correlation to be right. Input u is the mean of the force at both ends of a step.
@@ -67,7 +67,7 @@ class BankState:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A grasp's first sample in contact. `unfelt_force_n` is what may press before it is felt; 0 where a sensor tells."""
+    """A grasp's first sample in contact. `unfelt_force_n` may press before it is felt; 0 where a sensor tells."""
 
     force_n: float
     metre_per_volt: float
@@ -148,9 +148,7 @@ def advance_bank(
         for k in range(len(mean)):
             if valid[k]:
                 predict(mean[k], cov[k], middle_n, newton_per_volt[i], settings, log_walk_var, step, rows)
-                innovation, variance = update(
-                    mean[k], cov[k], displacement_m[i], metre_per_volt[i], settings[4], gain
-                )
+                innovation, variance = update(mean[k], cov[k], displacement_m[i], metre_per_volt[i], settings[4], gain)
                 nis = innovation * innovation / variance
                 log_likelihood[k] -= 0.5 * (nis + math.log(2.0 * math.pi * variance))
                 nis_sum[k] += nis

@@ -1,7 +1,8 @@
 """From the bank to a probability for each tissue and for `unknown`.
 
-The filter that fits best gives, as a Gaussian in (log alpha, log beta, log d), what the data say of the parameters; that
-likelihood is moved from the filter's own prior to each tissue's, and to the wide prior of a thing outside the library.
+The filter that fits best gives, as a Gaussian in (log alpha, log beta, log d), what the data say of the parameters;
+that likelihood is moved from the filter's own prior to each tissue's, and to the wide prior of a thing outside
+the library.
 A plain product of each filter's innovation likelihoods commits too early and too surely.
 """
 
@@ -88,7 +89,7 @@ def likelihood_of_parameters(mean, cov, guess, guess_var, misfit):
 
 @njit(cache=True)
 def moved_evidence(information, vector, tissue_mean, tissue_var):
-    """log of the integral of the parameters' likelihood over a Gaussian prior, up to a constant common to all priors."""
+    """log of the integral of the parameters' likelihood over a Gaussian prior, up to a constant common to all."""
     joint = information.copy()
     target = vector.copy()
     value = 0.0

@@ -1,8 +1,8 @@
 """The tissue model, Eqs. (7) to (11), and its exact local discretisation, compiled.
 
 The printed explicit Euler step (19) is unstable for a 5 g mass at 1 ms. Here the local linearisation is integrated
-exactly over the step, Eq. (14), with the 2x2 matrix exponential of displacement and velocity in closed form; the rows of
-the parameters are identity.
+exactly over the step, Eq. (14), with the 2x2 matrix exponential of displacement and velocity in closed form; the rows
+of the parameters are identity.
 """
 
 import math

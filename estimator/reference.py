@@ -1,7 +1,7 @@
 """The same bank on filterpy: slow, independent, for checking the compiled one.
 
-Shared with it are only the model's constants and the start of a grasp; the discretisation (scipy's matrix exponential of
-the whole linearised system) and the filter equations (filterpy's) are others.
+Shared with it are only the model's constants and the start of a grasp; the discretisation (scipy's matrix exponential
+of the whole linearised system) and the filter equations (filterpy's) are others.
 """
 
 import numpy as np

@@ -21,7 +21,8 @@ async def health(request: Request, response: Response) -> Health:
     if phase is Phase.FAULTED:
         status, detail = "faulted", "; ".join(station.alarms.technical_texts()) or "a worker is down"
     elif phase is Phase.STARTING:
-        status, detail = "starting", "preparing the filters" if not station.estimator_ready.is_set() else "opening the tool"
+        compiled = station.estimator_ready.is_set()
+        status, detail = "starting", "opening the tool" if compiled else "preparing the filters"
     else:
         status, detail = "ready", phase.value
     response.status_code = 200 if status == "ready" else 503

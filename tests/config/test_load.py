@@ -1,0 +1,321 @@
+"""Configuration files: what is shipped, and what a person is told who gets one wrong."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from config.errors import ConfigurationError
+from config.load import CONFIG_DIR, available, load_library, load_protocol, load_settings, load_tool
+from config.schema import Settings, TissueLibrary, Tool
+
+LOADERS = {"tools": load_tool, "tissues": load_library, "protocols": load_protocol}
+SHIPPED = [(folder, name) for folder in LOADERS for name in available(folder)]
+TISSUES = ("liver", "small_bowel", "bladder", "gallbladder")
+TWO_N_MM = {"liver": "0.63", "small_bowel": "0.73", "bladder": "7.6", "gallbladder": "4.2"}
+TWO_N_STRAIN = {"liver": "0.085", "small_bowel": "0.133", "bladder": "0.293", "gallbladder": "0.163"}
+THRESHOLD_N = {"liver": "3.38", "small_bowel": "5.63", "bladder": "2.25", "gallbladder": "2.25"}
+
+TRAPEZOID = """
+name = "mine"
+title = "Mine"
+[waveform]
+shape = "trapezoid"
+peak_v = 2.0
+ramp_up_s = 0.1
+hold_s = 0.5
+ramp_down_s = 0.1
+rest_s = 0.5
+"""
+
+
+def as_printed(value: float, printed: str) -> bool:
+    """Whether `value` rounds to the number as it is printed."""
+    return f"{value:.{len(printed.partition('.')[2])}f}" == printed
+
+
+def fault_of(load: Callable[[str], object], path: Path) -> str:
+    with pytest.raises(ConfigurationError) as caught:
+        load(str(path))
+    return str(caught.value)
+
+
+def edited(path: Path, text: str, *changes: tuple[str, str]) -> Path:
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def displacement_m(library: TissueLibrary, tissue: str, force_n: float) -> float:
+    """Eq. (7) at rest, solved for the displacement."""
+    profile = library.tissues[tissue]
+    return math.log1p(force_n / profile.alpha_n) / profile.beta_per_m
+
+
+# --- what is shipped ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("folder", "name"), SHIPPED)
+def test_every_shipped_file_loads_under_its_own_name(folder: str, name: str) -> None:
+    assert LOADERS[folder](name).name == name
+
+
+@pytest.mark.parametrize(("folder", "name"), SHIPPED)
+def test_a_shipped_file_is_the_same_by_name_and_by_path(folder: str, name: str) -> None:
+    assert LOADERS[folder](str(CONFIG_DIR / folder / f"{name}.toml")) == LOADERS[folder](name)
+
+
+def test_the_shipped_settings_say_what_the_defaults_are_and_name_files_that_exist(settings: Settings) -> None:
+    assert settings == Settings()
+    assert load_tool(settings.tool).kind == "simulated"
+    assert set(load_library(settings.library).tissues) == set(TISSUES)
+
+
+def test_porcine_is_table_2_with_its_units_mended(library: TissueLibrary) -> None:
+    printed = load_library("paper_table2")
+    assert set(printed.tissues) == set(library.tissues) == set(TISSUES)
+    assert (printed.mass_kg, printed.jaw_area_m2) == (library.mass_kg, library.jaw_area_m2) == (0.005, 56.3e-6)
+    for name in TISSUES:
+        table, mended = printed.tissues[name], library.tissues[name]
+        alpha_unit = 1.0 if name == "bladder" else 1e-3  # mN, but the bladder's
+        assert mended.alpha_n == pytest.approx(table.alpha_n * alpha_unit, rel=1e-12)
+        assert mended.beta_per_m == pytest.approx(table.beta_per_m / table.thickness_m, abs=5e-4)  # 3 decimals
+        for same in ("damping_kg_per_s", "thickness_m", "threshold_pa"):
+            assert getattr(mended, same) == getattr(table, same)
+
+
+@pytest.mark.parametrize("tissue", TISSUES)
+def test_two_newton_compress_each_tissue_by_a_believable_share(library: TissueLibrary, tissue: str) -> None:
+    x_m = displacement_m(library, tissue, 2.0)
+    assert as_printed(x_m * 1e3, TWO_N_MM[tissue])
+    assert as_printed(x_m / library.tissues[tissue].thickness_m, TWO_N_STRAIN[tissue])
+
+
+def test_as_printed_two_newton_compress_a_bladder_to_ten_times_its_thickness() -> None:
+    printed = load_library("paper_table2")
+    assert as_printed(displacement_m(printed, "liver", 2.0) * 1e3, "0.16")
+    assert as_printed(displacement_m(printed, "bladder", 2.0) * 1e3, "293")
+
+
+@pytest.mark.parametrize("name", available("tissues"))
+def test_injury_thresholds_are_the_papers(name: str) -> None:
+    thresholds = {tissue: load_library(name).threshold_n(tissue) for tissue in TISSUES}
+    assert all(as_printed(thresholds[tissue], THRESHOLD_N[tissue]) for tissue in TISSUES)
+    assert load_library(name).lowest_threshold_n == min(thresholds.values())
+
+
+@pytest.mark.parametrize("name", available("tools"))
+def test_every_tool_has_the_papers_geometry_and_calibration(name: str) -> None:
+    tool = load_tool(name)
+    calibration, geometry = tool.calibration, tool.geometry
+    millimetres = [geometry.r_pp_m, geometry.a_m, geometry.l0_m, geometry.l1_m, geometry.l2_m, geometry.l_jaw_m]
+    np.testing.assert_allclose(np.array(millimetres) * 1e3, [73.15, 10.1, 9.93, 4.9, 5.7, 27.88], rtol=1e-12)  # Table I
+    assert geometry.beta0_deg == 18.939
+    assert (calibration.newton_per_volt, calibration.encoder_deg_per_volt) == (11.89, 52.189)  # Eqs. (1), (3)
+    assert calibration.handle_per_encoder == pytest.approx(18 / 188, rel=1e-15)  # Eq. (5)
+    assert as_printed(calibration.encoder_resolution_deg, "0.009474")  # the step seen in the recordings
+    assert tool.limits.force_ceiling_n > float(THRESHOLD_N["small_bowel"])
+
+
+@given(st.floats(0, 10))
+def test_command_and_force_maps_undo_each_other_and_pass_the_papers_points(command_v: float) -> None:
+    mapping = load_tool("simulated").command_to_force
+    assert float(mapping.command(mapping.force(command_v))) == pytest.approx(command_v, abs=1e-12)
+    np.testing.assert_allclose(mapping.force(np.array([0.0, 0.5, 2.0])), [0.0, 0.8, 1.55], rtol=1e-12)
+    slope_n_per_v = (1.55 - 0.8) / 1.5
+    if command_v > 0.5:  # the last line goes on beyond its end
+        assert float(mapping.force(command_v)) == pytest.approx(0.8 + slope_n_per_v * (command_v - 0.5), rel=1e-12)
+
+
+# --- files with faults -------------------------------------------------------------------------------------------------
+
+
+def test_all_faults_of_a_file_are_told_at_once_each_with_its_place(tmp_path: Path) -> None:
+    path = edited(
+        tmp_path / "tool.toml",
+        (CONFIG_DIR / "tools/simulated.toml").read_text(),
+        ("sample_rate_hz = 1000.0", 'sample_rate_hz = "fast"'),
+        ("l_jaw_m = 0.02788\n", ""),
+        ("max_command_v = 3.5", "max_command_v = -3.5"),
+        ("strain_sd_v", "strain_sd_mv"),
+    )
+    told = fault_of(load_tool, path).splitlines()
+    places = ("board.sample_rate_hz", "geometry.l_jaw_m", "limits.max_command_v", "noise.strain_sd_v",
+              "noise.strain_sd_mv")  # fmt: skip
+    assert told[0] == f"{len(places)} faults to mend:"
+    assert len(told) == 1 + len(places)
+    for place in places:
+        assert sum(line.startswith(f"{path}: {place}: ") for line in told) == 1
+    assert any("'fast'" in line for line in told)
+    assert any("-3.5" in line for line in told)
+
+
+@pytest.mark.parametrize(
+    ("load", "shipped", "right", "wrong"),
+    [
+        (load_protocol, "protocols/trapezoid_2hz", "peak_v", "peak_mv"),
+        (load_library, "tissues/porcine", "beta_per_m", "beta_per_mm"),
+        (load_tool, "tools/nidaq", "force_ceiling_n", "force_ceiling"),
+        (lambda path: load_settings(Path(path)), "graspwatch", "frame_rate_hz", "framerate_hz"),
+    ],
+)
+def test_a_misspelt_or_wrongly_scaled_key_is_refused_and_the_right_one_suggested(
+    tmp_path: Path, load: Callable[[str], object], shipped: str, right: str, wrong: str
+) -> None:
+    text = (CONFIG_DIR / f"{shipped}.toml").read_text()
+    told = fault_of(load, edited(tmp_path / "file.toml", text, (right, wrong)))
+    line = next(line for line in told.splitlines() if "unknown key" in line)
+    assert f".{wrong}: " in line
+    assert f"did you mean '{right}'?" in line
+
+
+def test_a_key_like_no_other_gets_no_suggestion(tmp_path: Path) -> None:
+    told = fault_of(load_protocol, edited(tmp_path / "p.toml", TRAPEZOID, ("title", "zzzzz = 1\ntitle")))
+    assert "zzzzz: unknown key" in told
+    assert "did you mean" not in told
+
+
+@pytest.mark.parametrize("value", ['"2.0"', "true", "[2.0]", "nan", "inf", "-1.0", "0.0"])
+def test_a_value_of_the_wrong_kind_or_outside_its_range_is_told_with_its_key(tmp_path: Path, value: str) -> None:
+    told = fault_of(load_protocol, edited(tmp_path / "p.toml", TRAPEZOID, ("peak_v = 2.0", f"peak_v = {value}")))
+    assert told.startswith("1 fault to mend:")
+    assert "waveform" in told
+    assert "peak_v" in told
+
+
+def test_whole_numbers_do_for_decimal_ones(tmp_path: Path) -> None:
+    path = edited(tmp_path / "p.toml", TRAPEZOID, ("peak_v = 2.0", "peak_v = 2"))
+    assert load_protocol(str(path)).waveform.peak_v == 2.0
+
+
+@pytest.mark.parametrize("cycles", ["0", "10001", "1.5", '"3"'])
+def test_cycles_are_whole_and_bounded(tmp_path: Path, cycles: str) -> None:
+    path = edited(tmp_path / "p.toml", TRAPEZOID, ('title = "Mine"', f'title = "Mine"\ncycles = {cycles}'))
+    assert f"{path}: cycles: " in fault_of(load_protocol, path)
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ('shape = "triangle"', "triangle"),
+        ("peak_v = 1.0", "shape"),
+        ('shape = "custom"\ntime_s = [0, 1, 2]\ncommand_v = [0, 1]\nrest_s = 1', "command_v"),
+        ('shape = "custom"\ntime_s = [0, 1, 2]\ncommand_v = [0, 1, 0.5]\nrest_s = 1', "end at 0"),
+        ('shape = "custom"\ntime_s = [0, 2, 1]\ncommand_v = [0, 1, 0]\nrest_s = 1', "rise strictly"),
+        ('shape = "custom"\ntime_s = [1, 2, 3]\ncommand_v = [0, 1, 0]\nrest_s = 1', "begin at 0"),
+    ],
+)
+def test_a_waveform_that_is_none_is_refused_with_what_it_lacks(tmp_path: Path, table: str, told: str) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(f'name = "mine"\ntitle = "Mine"\n[waveform]\n{table}\n')
+    assert told in fault_of(load_protocol, path)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("force_n = [0.0, 0.8, 1.55]", "force_n = [0.0, 0.8]"), "same number of points"),
+        (("force_n = [0.0, 0.8, 1.55]", "force_n = [0.0, 0.8, 0.8]"), "rise strictly"),
+        (("command_v = [0.0, 0.5, 2.0]", "command_v = [0.1, 0.5, 2.0]"), "begin at 0"),
+        (('kind = "simulated"', 'kind = "real"'), "'simulated', 'nidaq' or 'recording'"),
+        (("[simulation]", "[contact.simulation]"), "[simulation]"),
+    ],
+)
+def test_a_tool_whose_parts_contradict_each_other_is_refused(
+    tmp_path: Path, change: tuple[str, str], told: str
+) -> None:
+    text = (CONFIG_DIR / "tools/simulated.toml").read_text()
+    assert told in fault_of(load_tool, edited(tmp_path / "tool.toml", text, change))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("withdraw_below = 0.5", "withdraw_below = 0.8"), "withdraw_below must be lower than decide_at"),
+        (("low = 0.7", "low = 0.95"), "low < medium < high"),
+        (("port = 8000", "port = 70000"), "server.port"),
+        (("prior_unknown = 0.02", "prior_unknown = 0.0"), "identification.prior_unknown"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(tmp_path: Path, change: tuple[str, str], told: str) -> None:
+    path = edited(tmp_path / "mine.toml", (CONFIG_DIR / "graspwatch.toml").read_text(), change)
+    assert told in fault_of(lambda name: load_settings(Path(name)), path)
+
+
+@pytest.mark.parametrize("reserved", ["unknown", "undecided"])
+def test_a_tissue_cannot_be_called_what_the_program_says_when_it_does_not_know(tmp_path: Path, reserved: str) -> None:
+    text = (CONFIG_DIR / "tissues/porcine.toml").read_text()
+    path = edited(tmp_path / "library.toml", text, ("[tissues.liver]", f"[tissues.{reserved}]"))
+    assert f"{reserved}: reserved" in fault_of(load_library, path)
+
+
+def test_a_library_needs_a_tissue(tmp_path: Path) -> None:
+    text = (CONFIG_DIR / "tissues/porcine.toml").read_text()
+    path = tmp_path / "library.toml"
+    path.write_text(text[: text.index("[tissues.liver]")] + "[tissues]\n")
+    assert f"{path}: tissues: " in fault_of(load_library, path)
+
+
+def test_a_tissue_may_spread_otherwise_than_its_library(tmp_path: Path) -> None:
+    text = (CONFIG_DIR / "tissues/porcine.toml").read_text()
+    own = "[tissues.liver.spread]\nlog_alpha = 0.5\nlog_beta = 0.2\nlog_damping = 0.1\n\n[tissues.small_bowel]"
+    library = load_library(str(edited(tmp_path / "library.toml", text, ("[tissues.small_bowel]", own))))
+    assert library.spread_of("liver").log_alpha == 0.5
+    assert library.spread_of("bladder") == library.spread
+
+
+# --- files that are none -----------------------------------------------------------------------------------------------
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    assert fault_of(load_tool, tmp_path / "none.toml").startswith(f"{tmp_path / 'none.toml'}: there is no such file")
+
+
+def test_broken_toml_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text('name = "mine"\ntitle = \n')
+    told = fault_of(load_protocol, path)
+    assert told.startswith(f"{path}: is not valid TOML")
+    assert "line 2" in told
+
+
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n\x00\xff\xfe", "name = 'Größe'".encode("latin-1")])
+def test_a_binary_or_wrongly_encoded_file_is_told(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "p.toml"
+    path.write_bytes(content)
+    assert fault_of(load_protocol, path).startswith(f"{path}: cannot be read as a text file")
+
+
+def test_a_folder_is_no_file(tmp_path: Path) -> None:
+    assert fault_of(load_library, tmp_path).startswith(f"{tmp_path}: cannot be read")
+
+
+def test_an_empty_file_lacks_all_its_keys(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.touch()
+    told = fault_of(load_protocol, path)
+    assert all(f"{path}: {key}: " in told for key in ("name", "title", "waveform"))
+
+
+@pytest.mark.parametrize(("folder", "near", "meant"), [
+    ("tools", "simulate", "simulated"), ("tissues", "porcin", "porcine"), ("protocols", "sinus", "sine"),
+])  # fmt: skip
+def test_an_unknown_name_is_told_with_what_there_is(folder: str, near: str, meant: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        LOADERS[folder](near)
+    assert f"Did you mean {meant!r}?" in str(caught.value)
+    assert all(name in str(caught.value) for name in available(folder))
+    with pytest.raises(ConfigurationError, match=r"There is no .* 'xyz'\. There is: "):
+        LOADERS[folder]("xyz")
+
+
+def test_what_was_loaded_cannot_be_changed(tool: Tool) -> None:
+    with pytest.raises(ValidationError):
+        tool.limits.max_command_v = 10.0

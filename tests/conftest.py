@@ -1,0 +1,45 @@
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from config.load import load_library, load_protocol, load_settings, load_tool
+from config.schema import Protocol, Settings, TissueLibrary, Tool
+
+CHECKOUT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="session")
+def tool() -> Tool:
+    return load_tool("simulated")
+
+
+@pytest.fixture(scope="session")
+def recording_tool() -> Tool:
+    return load_tool("smart_tool_2013")
+
+
+@pytest.fixture(scope="session")
+def library() -> TissueLibrary:
+    return load_library("porcine")
+
+
+@pytest.fixture(scope="session")
+def settings() -> Settings:
+    return load_settings()
+
+
+@pytest.fixture(scope="session")
+def protocol() -> Callable[[str], Protocol]:
+    return load_protocol
+
+
+@pytest.fixture(scope="session")
+def recordings() -> list[Path]:
+    """The third-party recordings of the real tool; they are not part of this project."""
+    folder = Path(os.environ.get("GRASPWATCH_RECORDINGS", CHECKOUT / "../shared/recordings")).resolve()
+    found = sorted(folder.glob("*.lvm*"))
+    if not found:
+        pytest.skip(f"no recordings of the real tool in {folder}; set GRASPWATCH_RECORDINGS to their folder")
+    return found

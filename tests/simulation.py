@@ -1,0 +1,96 @@
+"""Signals for tests: protocols played through the simulated grasper, and LabVIEW files in the lab's format."""
+
+import gzip
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.protocol import ProtocolPlayer
+from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.source import RawBlock
+from config.load import load_library, load_protocol, load_tool
+from config.schema import Protocol, Tool
+
+SIGNALS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
+LVM_COLUMNS = ("Dev1/ai0", "Dev1/ai2", "Dev1/ai3", "Dev1/ai1", "Untitled")
+
+
+def simulate_raw(
+    tissue: str,
+    protocol: str | Protocol = "trapezoid_2hz",
+    seed: int = 0,
+    cycles: int = 1,
+    tool: Tool | None = None,
+) -> list[RawBlock]:
+    """Blocks that the tool gives while a protocol is played on specimens of `tissue`, the last rest included."""
+    tool = tool or load_tool("simulated")
+    played = load_protocol(protocol) if isinstance(protocol, str) else protocol
+    player = ProtocolPlayer(played, tool, cycles)
+    commands = []
+    while not player.done:
+        commands += [player.advance(tool.board.block_samples)] * tool.board.block_samples
+    grasper = SimulatedGrasper(tool, load_library("porcine"), tissue, seed)
+    return cut(drive(grasper, commands), range(0, len(commands), tool.board.block_samples))
+
+
+def drive(grasper: SimulatedGrasper, commands_v: Iterable[float]) -> RawBlock:
+    """One block with a sample for each command, read back without noise."""
+    commands = np.array(list(commands_v), float)
+    strain_v, encoder_deg, touch_1_v, touch_2_v = np.array([grasper.step(float(command)) for command in commands]).T
+    return raw_block(strain_v, encoder_deg, commands, touch_1_v, touch_2_v)
+
+
+def raw_block(strain_v, encoder_deg=0.0, motor_command_v=0.0, touch_1_v=0.0, touch_2_v=0.0) -> RawBlock:
+    """A block that begins at tick 0; numbers stand for constant signals."""
+    signals = np.broadcast_arrays(strain_v, encoder_deg, motor_command_v, touch_1_v, touch_2_v)
+    return RawBlock(0, 0, *(np.array(signal, float) for signal in signals))
+
+
+def joined(blocks: Iterable[RawBlock]) -> RawBlock:
+    """One block of consecutive ones."""
+    blocks = list(blocks)
+    return RawBlock(
+        blocks[0].first_tick, blocks[0].t_mono_ns,
+        *(np.concatenate([getattr(block, name) for block in blocks]) for name in SIGNALS),
+    )  # fmt: skip
+
+
+def cut(raw: RawBlock, at: Iterable[int]) -> list[RawBlock]:
+    """The same samples as several blocks, cut before the given indices."""
+    edges = sorted({0, len(raw), *at})
+    return [
+        RawBlock(raw.first_tick + begin, 0, *(getattr(raw, name)[begin:end] for name in SIGNALS))
+        for begin, end in zip(edges, edges[1:], strict=False)
+    ]
+
+
+def lvm_text(raw: RawBlock, columns: tuple[str, ...] = LVM_COLUMNS) -> str:
+    """The samples as the lab's LabVIEW program logs them: two headers, then tab-separated columns."""
+    n, per_channel = len(columns), "\t" * len(columns)
+    stamp, date = "10:00:00.0000000000000000000", "2026/11/22"
+
+    def each(name: str, value: str) -> str:
+        return f"{name}\t" + f"{value}\t" * n
+
+    head = [
+        "LabVIEW Measurement\t", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab", "Decimal_Separator\t.",
+        "Multi_Headings\tNo", "X_Columns\tOne", "Time_Pref\tAbsolute", "Operator\ttest", f"Date\t{date}",
+        f"Time\t{stamp}", "***End_of_Header***\t", "\t",
+        f"Notes\tsimulated{per_channel}", f"Channels\t{n}{per_channel}", each("Samples", "1000"), each("Date", date),
+        each("Time", stamp), "Y_Unit_Label\t" + "Volts\t" * (n - 1) + "\t", each("X_Dimension", "Time"),
+        each("X0", "0.0000000000000000E+0"), each("Delta_X", "0.001000"), f"***End_of_Header***\t{per_channel}",
+        "\t".join(["X_Value", *columns, "Comment"]),
+    ]  # fmt: skip
+    signal_of = dict(zip(LVM_COLUMNS, ("strain_v", "motor_command_v", "touch_1_v", "touch_2_v", "encoder_deg"),
+                         strict=True))  # fmt: skip
+    time_s = (raw.first_tick + np.arange(len(raw))) / 1000.0
+    table = np.column_stack([time_s, *(getattr(raw, signal_of[column]) for column in columns)])
+    return "\n".join([*head, *("\t".join(f"{value:.6f}" for value in row) for row in table)]) + "\n"
+
+
+def write_lvm(path: Path, raw: RawBlock) -> Path:
+    """Write the samples as a recording; a path that ends in `.gz` is compressed."""
+    content = lvm_text(raw).encode()
+    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
+    return path
