@@ -7,6 +7,7 @@ import signal
 from types import FrameType
 
 PR_SET_PDEATHSIG = 1
+PR_SET_NAME = 15
 
 
 class StopFlag:
@@ -21,11 +22,12 @@ class StopFlag:
         self.set = True
 
 
-def become_worker(parent_pid: int) -> StopFlag:
-    """Tie this process to its parent and make it answer signals."""
+def become_worker(name: str, parent_pid: int) -> StopFlag:
+    """Tie this process to its parent, make it answer signals, and let `ps` and `top` show its name."""
     flag = StopFlag()
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    libc.prctl(PR_SET_NAME, name.encode())
     if os.getppid() != parent_pid:  # the parent died before the line above
         flag.set = True
     return flag

@@ -33,7 +33,7 @@ class Setup:
 
 def main(setup: Setup) -> None:
     """Run until a signal, the end of the recording, or a fault; exits with an error's code after telling it."""
-    stop = become_worker(setup.parent_pid)
+    stop = become_worker("acquisition", setup.parent_pid)
     context = zmq.Context()
     publisher = bus.publisher(context, setup.endpoints.samples)
     try:

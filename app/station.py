@@ -172,8 +172,9 @@ class Station:
             return
         block = bus.unpack_samples(parts)
         now = time.monotonic()
-        if not self._last_sample_s:
+        if self.supervisor.workers["acquisition"].condition is Condition.STARTING:
             self.supervisor.workers["acquisition"].condition = Condition.RUNNING
+            self.tell_state()
         self._samples.take(block.sequence)
         self._last_sample_s = now
         self._rate.append((now, len(block.samples)))

@@ -33,7 +33,7 @@ class Setup:
 
 def main(setup: Setup) -> None:
     """Run until a signal. Says when its filters are compiled and ready."""
-    stop = become_worker(setup.parent_pid)
+    stop = become_worker("estimator", setup.parent_pid)
     context = zmq.Context()
     samples = bus.subscriber(context, setup.endpoints.samples)
     publisher = bus.publisher(context, setup.endpoints.estimates)

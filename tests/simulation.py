@@ -2,6 +2,7 @@
 
 import gzip
 from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,7 @@ def cut(raw: RawBlock, at: Iterable[int]) -> list[RawBlock]:
     edges = sorted({0, len(raw), *at})
     return [
         RawBlock(raw.first_tick + begin, 0, *(getattr(raw, name)[begin:end] for name in SIGNALS))
-        for begin, end in zip(edges, edges[1:], strict=False)
+        for begin, end in pairwise(edges)
     ]
 
 

@@ -59,7 +59,7 @@ def displacement_m(library: TissueLibrary, tissue: str, force_n: float) -> float
     return math.log1p(force_n / profile.alpha_n) / profile.beta_per_m
 
 
-# --- what is shipped ---------------------------------------------------------------------------------------------------
+# --- what is shipped -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("folder", "name"), SHIPPED)
@@ -134,7 +134,7 @@ def test_command_and_force_maps_undo_each_other_and_pass_the_papers_points(comma
         assert float(mapping.force(command_v)) == pytest.approx(0.8 + slope_n_per_v * (command_v - 0.5), rel=1e-12)
 
 
-# --- files with faults -------------------------------------------------------------------------------------------------
+# --- files with faults -----------------------------------------------------------------------------------------------
 
 
 def test_all_faults_of_a_file_are_told_at_once_each_with_its_place(tmp_path: Path) -> None:
@@ -225,7 +225,6 @@ def test_a_waveform_that_is_none_is_refused_with_what_it_lacks(tmp_path: Path, t
         (("force_n = [0.0, 0.8, 1.55]", "force_n = [0.0, 0.8, 0.8]"), "rise strictly"),
         (("command_v = [0.0, 0.5, 2.0]", "command_v = [0.1, 0.5, 2.0]"), "begin at 0"),
         (('kind = "simulated"', 'kind = "real"'), "'simulated', 'nidaq' or 'recording'"),
-        (("[simulation]", "[contact.simulation]"), "[simulation]"),
     ],
 )
 def test_a_tool_whose_parts_contradict_each_other_is_refused(
@@ -233,6 +232,12 @@ def test_a_tool_whose_parts_contradict_each_other_is_refused(
 ) -> None:
     text = (CONFIG_DIR / "tools/simulated.toml").read_text()
     assert told in fault_of(load_tool, edited(tmp_path / "tool.toml", text, change))
+
+
+def test_a_simulated_tool_needs_its_mechanics(tmp_path: Path) -> None:
+    text = (CONFIG_DIR / "tools/nidaq.toml").read_text()
+    path = edited(tmp_path / "tool.toml", text, ('kind = "nidaq"', 'kind = "simulated"'))
+    assert "needs a [simulation] table" in fault_of(load_tool, path)
 
 
 @pytest.mark.parametrize(
@@ -271,7 +276,7 @@ def test_a_tissue_may_spread_otherwise_than_its_library(tmp_path: Path) -> None:
     assert library.spread_of("bladder") == library.spread
 
 
-# --- files that are none -----------------------------------------------------------------------------------------------
+# --- files that are none ---------------------------------------------------------------------------------------------
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

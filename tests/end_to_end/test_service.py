@@ -1,0 +1,229 @@
+"""The whole way, volts to wire, on real processes and sockets."""
+
+import json
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+from service import Service, until
+from websockets.sync.client import connect
+
+from app.wire import FRAME_HEADER
+
+
+@pytest.fixture(scope="module")
+def service():
+    with Service("serve") as running:
+        yield running
+
+
+class Listener:
+    """A program on `/api/live`: collects messages and frames."""
+
+    def __init__(self, service):
+        self._connection = connect(service.live_url, max_size=None, close_timeout=0.5)
+        self.messages, self.frames = [], []
+
+    def __enter__(self):
+        self._socket = self._connection.__enter__()
+        return self
+
+    def __exit__(self, *_):
+        self._connection.__exit__(None, None, None)
+
+    def listen(self, done, timeout_s=20.0, answer=True):
+        """Read until `done()`; returns how long it took, s."""
+        begin = time.monotonic()
+        while not done():
+            if time.monotonic() - begin > timeout_s:
+                raise AssertionError(f"{[m['type'] for m in self.messages]}")
+            received = self._socket.recv(timeout=timeout_s)
+            if isinstance(received, str):
+                self.messages.append(json.loads(received))
+            else:
+                header = FRAME_HEADER.unpack_from(received)
+                columns = np.frombuffer(received, "<f4", offset=FRAME_HEADER.size).reshape(header[3], header[4])
+                self.frames.append((header, columns))
+                if answer:
+                    self._socket.send(json.dumps({"type": "received", "sequence": header[5]}))
+        return time.monotonic() - begin
+
+    def of(self, kind):
+        return [message for message in self.messages if message["type"] == kind]
+
+
+def column(listener, name, tissue=None):
+    names = [(c["name"], c["tissue"]) for c in listener.of("hello")[0]["channels"]]
+    return names.index((name, tissue))
+
+
+@pytest.mark.parametrize("tissue", ["bladder", "gallbladder"])
+def test_a_grasp_goes_in_and_a_label_comes_out(service, tissue):
+    with Listener(service) as listener:
+        run = service.run(protocol="trapezoid_2hz", cycles=2, tissue=tissue)
+        listener.listen(lambda: len(listener.of("grasp")) >= 2 and listener.of("grasp")[-1]["run_id"] == run["id"])
+        live = [m["label"] for m in listener.of("identification") if m["in_grasp"] and m["in_contact"]]
+        assert tissue in live
+        held = np.concatenate([c[column(listener, "alpha_n", tissue)] for h, c in listener.frames if h[1] == 0])
+        assert np.isfinite(held).any()
+    over = service.finished(run["id"])
+    grasps = service.http.get(f"/api/runs/{run['id']}/grasps").json()
+    assert (over["state"], over["grasps"]) == ("finished", 2)
+    assert [grasp["label"] for grasp in grasps] == [tissue, tissue]
+    assert [grasp["index"] for grasp in grasps] == [1, 2]
+    assert all(grasp["peak_force_n"] == pytest.approx(1.55, rel=0.05) for grasp in grasps)
+
+
+def test_the_stream_is_gapless_at_1_khz(service):
+    with Listener(service) as listener:
+        listener.listen(lambda: len([h for h, _ in listener.frames if h[1] == 0]) > 40)
+        live = [(int(h[6]), c.shape[1]) for h, c in listener.frames if h[1] == 0]
+        ends = [tick + rows for tick, rows in live]
+        assert [tick for tick, _ in live[1:]] == ends[:-1]
+        hello = listener.of("hello")[0]
+        assert hello["tool"]["kind"] == "simulated"
+        assert [t["name"] for t in hello["tissues"]] == ["liver", "small_bowel", "bladder", "gallbladder"]
+        assert len(hello["channels"]) == listener.frames[0][1].shape[0]
+
+
+def test_who_comes_later_sees_the_last_seconds(service):
+    time.sleep(1.0)
+    with Listener(service) as listener:
+        listener.listen(lambda: len([h for h, _ in listener.frames if h[1] == 0]) > 1)
+        history = [(h, c) for h, c in listener.frames if h[1] == 1]
+        assert history[0][1].shape[1] > 500
+        assert history[-1][0][6] + history[-1][1].shape[1] == listener.frames[len(history)][0][6]
+
+
+def test_a_viewer_that_does_not_answer_gets_no_more_than_a_window_of_frames_but_every_message(service):
+    with Listener(service) as listener:
+        listener.listen(lambda: len(listener.of("state")) >= 4, answer=False)
+        assert len(listener.frames) <= 8
+
+
+def test_two_runs_at_once_are_refused_and_stop_always_works(service):
+    run = service.run(protocol="trapezoid_025hz", cycles=5, tissue="liver")
+    second = service.http.post("/api/runs", json={"protocol": "sine"})
+    assert second.status_code == 409
+    assert second.headers["content-type"] == "application/problem+json"
+    assert run["id"] in second.json()["detail"]
+    time.sleep(1.2)
+    stopped = service.http.post("/api/stop").json()
+    assert stopped["stopped"] is True
+    assert stopped["run"]["state"] == "stopped"
+    again = service.http.post("/api/stop")
+    assert (again.status_code, again.json()["stopped"]) == (200, False)
+    with Listener(service) as listener:
+        listener.listen(lambda: len([h for h, _ in listener.frames if h[1] == 0]) > 5)
+        command = np.concatenate([c[column(listener, "motor_command_v")] for h, c in listener.frames if h[1] == 0])
+        assert not command.any()
+
+
+def test_stopping_a_run_by_its_name_twice_changes_nothing_the_second_time(service):
+    run = service.run(protocol="trapezoid_2hz", cycles=50, tissue="liver")
+    first = service.http.post(f"/api/runs/{run['id']}/stop").json()
+    second = service.http.post(f"/api/runs/{run['id']}/stop").json()
+    assert (first["stopped"], second["stopped"]) == (True, False)
+    assert second["run"]["state"] == "stopped"
+
+
+@pytest.mark.parametrize(
+    ("body", "field", "says"),
+    [
+        ({"protocol": "nonsense"}, "protocol", "trapezoid_2hz"),
+        ({"protocol": "sine", "tissue": "livr"}, "tissue", "'liver'"),
+        ({"protocol": "sine", "cycles": 0}, "cycles", "greater than or equal to 1"),
+        ({"protocol": "trapezoid_025hz", "cycles": 9000}, "cycles", "3600 s"),
+        ({"protokol": "sine"}, "protokol", "not permitted"),
+        ({}, "protocol", "required"),
+    ],
+)
+def test_a_wrong_request_names_its_field(service, body, field, says):
+    response = service.http.post("/api/runs", json=body)
+    assert response.status_code == 422
+    assert response.headers["content-type"] == "application/problem+json"
+    faults = {fault["field"]: fault["message"] for fault in response.json()["errors"]}
+    assert says in faults[field]
+
+
+def test_unknown_things_are_problems_too(service):
+    for path in ("/api/runs/nope", "/api/runs/nope/grasps", "/api/nope"):
+        response = service.http.get(path)
+        assert (response.status_code, response.headers["content-type"]) == (404, "application/problem+json")
+
+
+def test_the_catalogue_and_the_metrics_answer(service):
+    protocols = {p["name"]: p for p in service.http.get("/api/protocols").json()}
+    assert protocols["trapezoid_2hz"]["peak_command_v"] == 2.0
+    assert protocols["trapezoid_4hz_low"]["peak_command_v"] == 0.5
+    thresholds = {t["name"]: t["threshold_n"] for t in service.http.get("/api/tissues").json()}
+    assert thresholds == pytest.approx(
+        {"liver": 3.38, "small_bowel": 5.63, "bladder": 2.25, "gallbladder": 2.25}, abs=0.01
+    )
+    metrics = service.http.get("/metrics").text
+    assert "graspwatch_samples_total" in metrics
+    assert "graspwatch_lost_samples_total 0.0" in metrics
+
+
+def test_the_dashboard_and_its_documentation_come_from_this_server_alone(service):
+    page = service.http.get("/")
+    assert page.headers["content-security-policy"] == "default-src 'self'"
+    for path in ("/", "/docs"):
+        assert "//cdn" not in service.http.get(path).text
+    assert service.http.get("/openapi.json").json()["paths"]["/api/runs"]["post"]["responses"]["409"]
+
+
+def test_a_message_that_is_none_ends_only_that_viewer(service):
+    with Listener(service) as good, connect(service.live_url, max_size=None) as bad:
+        bad.send("nonsense")
+        with pytest.raises(Exception, match="1007"):
+            while True:
+                bad.recv(timeout=5)
+        good.listen(lambda: len(good.frames) > 3)
+
+
+def test_sigterm_ends_it_in_order_and_leaves_nothing_behind():
+    with Service("serve") as running:
+        workers = [running.worker("acquisition"), running.worker("estimator")]
+        running.run(protocol="trapezoid_2hz", cycles=50)
+        assert running.end() in (0, -signal.SIGTERM, 128 + signal.SIGTERM)
+        for pid in workers:
+            assert not os.path.exists(f"/proc/{pid}")
+        assert "Traceback" not in running.process.stderr.read()
+
+
+@pytest.mark.parametrize("worker", ["estimator", "acquisition"])
+def test_a_killed_worker_is_told_and_replaced(worker):
+    with Service("serve") as running, Listener(running) as listener:
+        run = running.run(protocol="trapezoid_025hz", cycles=20, tissue="bladder")
+        listener.listen(lambda: any(m["in_grasp"] for m in listener.of("identification")))
+        os.kill(running.worker(worker), signal.SIGKILL)
+        told_s = listener.listen(lambda: any(worker in a["text"] for a in listener.of("alarm")))
+        assert told_s < 0.5
+        until(running.ready)
+        if worker == "acquisition":
+            assert running.finished(run["id"])["state"] == "failed"
+        else:
+            assert running.http.get(f"/api/runs/{run['id']}").json()["state"] == "running"
+            running.http.post("/api/stop")
+        again = running.run(protocol="trapezoid_2hz", cycles=1, tissue="bladder")
+        running.finished(again["id"])
+        assert running.http.get(f"/api/runs/{again['id']}/grasps").json()[0]["label"] == "bladder"
+
+
+def test_a_worker_that_keeps_dying_is_given_up_after_three_restarts():
+    with Service("serve") as running:
+        for _ in range(4):
+            before = running.worker("estimator")
+            os.kill(before, signal.SIGKILL)
+            until(lambda: not os.path.exists(f"/proc/{before}"))  # noqa: B023
+            faulted = until(
+                lambda: running.ready() or running.http.get("/api/health").json()["status"] == "faulted", 30
+            )
+            assert faulted
+        health = running.http.get("/api/health")
+        assert (health.status_code, health.json()["status"]) == (503, "faulted")
+        assert "estimator" in health.json()["detail"]
+        assert running.http.post("/api/stop").status_code == 200

@@ -1,0 +1,92 @@
+"""The real program as a subprocess, for tests and benchmarks."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import httpx
+
+PROGRAM = Path(sys.executable).with_name("graspwatch")
+
+
+def until(condition: Callable[[], Any], timeout_s: float = 30.0) -> Any:
+    """The first true value of `condition`; fails when there is none in time."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        if value := condition():
+            return value
+        time.sleep(0.02)
+    raise AssertionError(f"not true within {timeout_s} s: {condition}")
+
+
+class Service:
+    """`graspwatch serve` (or `replay --serve`) on a free port, ended with the block."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._arguments = arguments or ("serve",)
+
+    def __enter__(self) -> Self:
+        self.process = subprocess.Popen(
+            [PROGRAM, *self._arguments, "--port", "0"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "200"},
+        )  # fmt: skip
+        line = self.process.stdout.readline()
+        found = re.search(r"http://localhost:(\d+)/", line)
+        if not found:
+            raise AssertionError(f"no address: {line!r}; {self.process.communicate()[1]}")
+        self.port = int(found[1])
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.live_url = f"ws://127.0.0.1:{self.port}/api/live"
+        self.http = httpx.Client(base_url=self.url, timeout=5.0)
+        until(self.ready, 90.0)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.http.close()
+        self.end()
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.communicate()
+
+    def ready(self) -> bool:
+        try:
+            return self.http.get("/api/health").status_code == 200
+        except httpx.TransportError:
+            return False
+
+    def end(self) -> int:
+        """SIGTERM; its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(15)
+
+    def worker(self, name: str) -> int:
+        """Process id of a worker, waited for if it is just being started."""
+
+        def found() -> int | None:
+            children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+            names = {Path(f"/proc/{pid}/comm").read_text().strip(): int(pid) for pid in children}
+            return names.get(name)
+
+        return until(found)
+
+    def run(self, **body: Any) -> dict[str, Any]:
+        response = self.http.post("/api/runs", json=body)
+        assert response.status_code == 201, response.text
+        return response.json()
+
+    def finished(self, run_id: str, timeout_s: float = 30.0) -> dict[str, Any]:
+        def over() -> dict[str, Any] | None:
+            run = self.http.get(f"/api/runs/{run_id}").json()
+            return run if run["state"] != "running" else None
+
+        return until(over, timeout_s)
