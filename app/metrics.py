@@ -2,6 +2,10 @@
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
+LATENESS_BUCKETS_S = tuple(
+    ms / 1e3 for ms in (0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
+)
+
 
 class Metrics:
     """One service's metrics in a registry of its own."""
@@ -18,7 +22,13 @@ class Metrics:
         self.estimate_latency = Histogram(
             "graspwatch_estimate_latency_seconds",
             "From the last sample of a block to its published estimate",
-            buckets=(0.0005, 0.001, 0.002, 0.003, 0.005, 0.01, 0.02, 0.05, 0.1, 1.0),
+            buckets=LATENESS_BUCKETS_S,
+            registry=registry,
+        )
+        self.acquisition_lateness = Histogram(
+            "graspwatch_acquisition_lateness_seconds",
+            "How much later than the promptest a block was read, by the sample clock",
+            buckets=LATENESS_BUCKETS_S,
             registry=registry,
         )
         self.worker_deaths = Counter("graspwatch_worker_deaths", "Workers that died", ["worker"], registry=registry)

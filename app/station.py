@@ -74,6 +74,7 @@ class Station:
         self._last_sample_s = 0.0
         self._last_estimate_s = 0.0
         self._rate: deque[tuple[float, int]] = deque(maxlen=400)
+        self._promptest_s = float("inf")
         self._latency_ms: float | None = None
         self.lost_samples = 0
         self._identification: Identification | None = None
@@ -178,10 +179,20 @@ class Station:
         self._samples.take(block.sequence)
         self._last_sample_s = now
         self._rate.append((now, len(block.samples)))
+        self._measure_lateness(block)
         self.metrics.samples.inc(len(block.samples))
         self._count_lost(block.lost_samples)
         self.metrics.missing_blocks.labels("server").set(self._samples.missing + self._estimates.missing)
         self._waiting.append(block)
+
+    def _measure_lateness(self, block: SampleBlock) -> None:
+        """Against the promptest block so far: the sample clock says when each could be read."""
+        clock_s = (int(block.samples["tick"][-1]) + 1) / self.plan.tool.board.sample_rate_hz
+        behind_s = block.t_mono_ns / 1e9 - clock_s
+        if block.sequence == 1:
+            self._promptest_s = behind_s
+        self._promptest_s = min(self._promptest_s, behind_s)
+        self.metrics.acquisition_lateness.observe(behind_s - self._promptest_s)
 
     def _count_lost(self, samples: int) -> None:
         if samples:
@@ -310,15 +321,17 @@ class Station:
     def _watch(self) -> None:
         """Raise a technical alarm while a worker is silent, and end it when it speaks again."""
         now = time.monotonic()
-        flowing = now - self._last_sample_s < SILENCE_S
-        if self._last_sample_s and not flowing and not self._recording_ended:
+        alive = {name: worker.condition is Condition.RUNNING for name, worker in self.supervisor.workers.items()}
+        sampling = now - self._last_sample_s < SILENCE_S
+        estimating = now - self._last_estimate_s < SILENCE_S
+        if self._last_sample_s and not sampling and not self._recording_ended:
             self.alarms.raise_technical("samples", Priority.HIGH, "No samples arrive from the tool")
-        elif flowing:
+        elif sampling and alive["acquisition"]:
             self.alarms.end("samples")
             self.alarms.end("acquisition")
-        if flowing and self._last_estimate_s and now - self._last_estimate_s > SILENCE_S:
+        if self._last_estimate_s and sampling and not estimating:
             self.alarms.raise_technical("estimates", Priority.MEDIUM, "No estimates arrive: the tissue is not watched")
-        elif now - self._last_estimate_s < SILENCE_S:
+        elif estimating and alive["estimator"]:
             self.alarms.end("estimates")
             self.alarms.end("estimator")
 

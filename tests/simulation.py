@@ -59,7 +59,7 @@ def joined(blocks: Iterable[RawBlock]) -> RawBlock:
 
 def cut(raw: RawBlock, at: Iterable[int]) -> list[RawBlock]:
     """The same samples as several blocks, cut before the given indices."""
-    edges = sorted({0, len(raw), *at})
+    edges = [0, *sorted(index for index in {*at} if 0 < index < len(raw)), len(raw)]
     return [
         RawBlock(raw.first_tick + begin, 0, *(getattr(raw, name)[begin:end] for name in SIGNALS))
         for begin, end in pairwise(edges)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from simulation import SIGNALS, cut, joined, raw_block, simulate_raw
 
@@ -16,7 +16,7 @@ from acquisition.calibration import from_jaw
 from acquisition.pipeline import Pipeline
 from acquisition.recording import Recording
 from acquisition.source import RawBlock
-from config.load import load_tool
+from config.load import load_protocol, load_tool
 from config.schema import Conditioning, Tool
 
 TOOL = load_tool("simulated")
@@ -24,12 +24,18 @@ UNSENSED = load_tool("nidaq")
 RIG = load_tool("smart_tool_2013")
 JAW_SIGNALS = ("jaw_force_n", "jaw_displacement_m", "newton_per_volt", "metre_per_volt")
 FILTERED = ("jaw_force_filtered_n", "jaw_displacement_filtered_m")
+UNSHRUNK = (Phase.explicit, Phase.reuse, Phase.generate)  # of a known fault the smallest example is of no interest
 REST_V = 0.8125  # exact in binary: its mean over any number of samples has no rounding
 
 
 def process(tool: Tool, blocks: Iterable[RawBlock]) -> np.ndarray:
     pipeline = Pipeline(tool, Conditioning())
     return np.concatenate([pipeline.process(block).samples for block in blocks])
+
+
+def by_fives(raw: RawBlock) -> list[RawBlock]:
+    """As a board gives them."""
+    return cut(raw, range(0, len(raw), 5))
 
 
 def flagged(samples: np.ndarray, flag: Flag) -> np.ndarray:
@@ -45,11 +51,14 @@ def sensors(
     return strain_v + rest_v, encoder_deg + rest_deg
 
 
-def grasp_truth(rest: int = 300, closing: int = 125, held: int = 500) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Command, jaw force and displacement of a plain grasp."""
+def grasp_truth(
+    rest: int = 300, closing: int = 125, held: int = 500, lag: int = 5
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Command, jaw force and displacement of a plain grasp; the jaws answer some samples after the command."""
     share = np.concatenate([np.zeros(rest), np.linspace(0, 1, closing), np.ones(held), np.linspace(1, 0, closing),
                             np.zeros(rest)])  # fmt: skip
-    return 2.0 * share, 1.55 * share, 0.004 * np.sqrt(share)
+    answer = np.roll(share, lag)
+    return 2.0 * share, 1.55 * answer, 0.004 * np.sqrt(answer)
 
 
 # --- what comes out is what the jaws do -------------------------------------------------------------------------------
@@ -95,7 +104,7 @@ def test_raw_signals_ticks_and_gaps_are_passed_on_as_they_are() -> None:
 @pytest.mark.parametrize("tissue", ["liver", "bladder"])
 def test_tissue_displacement_counts_from_the_first_touch(tissue: str) -> None:
     raw = joined(simulate_raw(tissue, cycles=2))
-    samples = process(TOOL, [raw])
+    samples = process(TOOL, by_fives(raw))
     held = samples["contact_tick"] >= 0
     assert np.isfinite(samples["tissue_displacement_m"][held]).all()
     assert np.isnan(samples["tissue_displacement_m"][~held]).all()
@@ -121,10 +130,10 @@ def test_the_encoder_is_zeroed_anew_for_each_grasp() -> None:
 
 @pytest.mark.xfail(strict=True, reason="displacement at a contact back-dated to before the new zero is of the old zero")
 def test_contact_in_the_first_samples_of_a_grasp_counts_from_the_new_zero_of_the_encoder() -> None:
-    command_v, force_n, displacement_m = grasp_truth(closing=60)
+    command_v, force_n, displacement_m = grasp_truth(closing=60, lag=0)
     touched = np.maximum(displacement_m, 1e-6)  # the jaws already lie on the tissue: force from the first sample on
     pieces = [raw_block(*sensors(force_n, touched, rest_deg=rest), command_v) for rest in (0.0, 30.0)]
-    samples = process(UNSENSED, [joined(pieces)])
+    samples = process(UNSENSED, by_fives(joined(pieces)))
     peaks_m = [np.nanmax(samples["tissue_displacement_m"][samples["grasp"] == grasp]) for grasp in (1, 2)]
     assert peaks_m[1] == pytest.approx(peaks_m[0], rel=1e-6)
 
@@ -136,7 +145,7 @@ def test_contact_in_the_first_samples_of_a_grasp_counts_from_the_new_zero_of_the
 def test_the_force_at_rest_is_zero_even_where_the_rest_is_short(rest: int) -> None:
     command_v, force_n, displacement_m = grasp_truth(rest=rest)
     strain_v, encoder_deg = sensors(force_n, displacement_m, rest_v=0.84)
-    samples = process(TOOL, cut(raw_block(strain_v, encoder_deg, command_v), range(0, 10_000, 5)))
+    samples = process(TOOL, by_fives(raw_block(strain_v, encoder_deg, command_v)))
     np.testing.assert_allclose(samples["jaw_force_n"], force_n, rtol=0, atol=1e-10)
 
 
@@ -151,25 +160,23 @@ def test_a_rest_voltage_out_of_tolerance_is_not_tared_away(rest_v: float) -> Non
     pipeline = Pipeline(TOOL, Conditioning())
     samples = pipeline.process(raw_block(np.full(300, rest_v))).samples
     assert not pipeline.tare.measured
-    expected = pipeline.process(raw_block(np.full(1, rest_v))).samples["newton_per_volt"][0]
     assert pipeline.tare.rest_v == TOOL.calibration.rest_offset_v
     # the force that the tool file's own rest voltage leaves: at least 50 mV times 6 N/V, never hidden
     assert abs(samples["jaw_force_n"][-1]) > 0.3
     assert math.copysign(1, samples["jaw_force_n"][-1]) == math.copysign(1, rest_v - 0.82)
-    assert expected > 0
 
 
 def test_implausible_samples_among_the_rest_do_not_shift_the_tare() -> None:
     strain_v = np.full(200, REST_V)
     strain_v[::10] = 3.0
-    samples = process(TOOL, cut(raw_block(strain_v), range(0, 200, 5)))
+    samples = process(TOOL, by_fives(raw_block(strain_v)))
     assert abs(samples["jaw_force_n"][-1]) < 1e-12
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_at_rest_leaves_no_more_than_its_mean_over_200_samples(seed: int) -> None:
     noise_v = 0.002 * np.random.default_rng(seed).standard_normal(5000)
-    samples = process(TOOL, cut(raw_block(REST_V + noise_v), range(0, 5000, 5)))
+    samples = process(TOOL, by_fives(raw_block(REST_V + noise_v)))
     newton_per_volt = samples["newton_per_volt"][-1]
     # SD of the difference of two means, of 200 and 4800 samples; four of them pass once in 16,000 times
     bound_n = 4 * 0.002 * newton_per_volt * math.sqrt(1 / 200 + 1 / 4800)
@@ -209,7 +216,7 @@ def test_no_jaw_signal_is_nan_unless_its_sample_is_flagged_invalid(seed: int) ->
 
 
 @pytest.mark.xfail(strict=True, reason="filtered signals leave the domain on their own and are NaN without a flag")
-@settings(max_examples=30)
+@settings(max_examples=30, phases=UNSHRUNK)
 @given(st.integers(0, 10_000))
 def test_no_filtered_signal_is_nan_unless_its_sample_is_flagged_invalid(seed: int) -> None:
     samples = process(TOOL, [wild(seed)])
@@ -231,10 +238,11 @@ def wild(seed: int) -> RawBlock:
 # --- blocks -----------------------------------------------------------------------------------------------------------
 
 NOISY = joined(simulate_raw("gallbladder", "trapezoid_4hz", seed=3, cycles=2))
+LARGEST_BLOCK = 100  # what a recording gives, and the most that a tool file may ask of a board
 CUTS = st.one_of(
     st.lists(st.integers(1, len(NOISY) - 1), max_size=40),
-    st.integers(1, 300).map(lambda size: list(range(0, len(NOISY), size))),
-)
+    st.integers(1, LARGEST_BLOCK).map(lambda size: list(range(0, len(NOISY), size))),
+).map(lambda cuts: [*cuts, *range(0, len(NOISY), LARGEST_BLOCK)])
 
 
 def assert_same(samples: np.ndarray, others: np.ndarray) -> None:
@@ -243,18 +251,27 @@ def assert_same(samples: np.ndarray, others: np.ndarray) -> None:
 
 
 @pytest.mark.xfail(strict=True, reason="a block's samples are tared with all of its rest, and a tare ends with a block")
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20, deadline=None, phases=UNSHRUNK)
 @given(CUTS)
 def test_how_samples_are_cut_into_blocks_does_not_matter(cuts: list[int]) -> None:
-    assert_same(process(TOOL, [NOISY]), process(TOOL, cut(NOISY, cuts)))
+    assert_same(process(TOOL, by_fives(NOISY)), process(TOOL, cut(NOISY, cuts)))
 
 
 @pytest.mark.parametrize("tool", [TOOL, UNSENSED], ids=lambda tool: tool.name)
 @settings(max_examples=20, deadline=None)
 @given(cuts=CUTS)
 def test_once_tared_how_samples_are_cut_into_blocks_does_not_matter(tool: Tool, cuts: list[int]) -> None:
-    quiet = replace(NOISY, strain_v=np.where(np.arange(len(NOISY)) < 500, REST_V, NOISY.strain_v))
-    assert_same(process(tool, [quiet]), process(tool, cut(quiet, cuts)))
+    quiet = replace(NOISY, strain_v=np.where(np.arange(len(NOISY)) < 520, REST_V, NOISY.strain_v))
+    assert_same(process(tool, by_fives(quiet)), process(tool, cut(quiet, cuts)))
+
+
+@pytest.mark.xfail(strict=True, reason="a contact in the block in which the last grasp ends keeps that grasp's zero")
+def test_a_contact_in_the_block_in_which_the_last_grasp_ends_is_its_own() -> None:
+    waveform = load_protocol("trapezoid_4hz").waveform.model_copy(update={"rest_s": 0.03})
+    hasty = load_protocol("trapezoid_4hz").model_copy(update={"waveform": waveform})
+    raw = joined(simulate_raw("liver", hasty, cycles=3))
+    quiet = replace(raw, strain_v=np.where(np.arange(len(raw)) < 520, REST_V, raw.strain_v))
+    assert_same(process(TOOL, by_fives(quiet)), process(TOOL, cut(quiet, range(0, len(raw), LARGEST_BLOCK))))
 
 
 # --- the real tool ----------------------------------------------------------------------------------------------------
