@@ -327,6 +327,7 @@ class Identification(Model):
 
     decide_at: Probability = 0.7
     withdraw_below: Probability = 0.5
+    confirm_s: NonNegative = 0.03
     prior_unknown: Probability = 0.02
     unknown_spread_log: Positive = 2.5
     convergence_error: Probability = 0.15

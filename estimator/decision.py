@@ -12,21 +12,29 @@ UNKNOWN = "unknown"
 
 @dataclass(slots=True)
 class Decision:
-    """The label of one grasp over time: named at `decide_at`, withdrawn below `withdraw_below`."""
+    """The label of one grasp: named once `decide_at` has held for a while, withdrawn below `withdraw_below`."""
 
     names: tuple[str, ...]  # the library's tissues, then `unknown`
     settings: Identification
+    rate_hz: float
     label: str = UNDECIDED
     decided_tick: int = -1
+    _candidate: str = UNDECIDED
+    _candidate_tick: int = -1
 
     def update(self, probabilities: np.ndarray, tick: int) -> None:
         """Take the probabilities, (K + 1,), at a tick."""
-        top = int(np.argmax(probabilities))
         if self.label != UNDECIDED and probabilities[self.names.index(self.label)] < self.settings.withdraw_below:
             self.reset()
-        if probabilities[top] >= self.settings.decide_at and self.names[top] != self.label:
-            self.label, self.decided_tick = self.names[top], tick
+        top = int(np.argmax(probabilities))
+        candidate = self.names[top] if probabilities[top] >= self.settings.decide_at else UNDECIDED
+        if candidate != self._candidate:
+            self._candidate, self._candidate_tick = candidate, tick
+        held_s = (tick - self._candidate_tick) / self.rate_hz
+        if candidate not in (UNDECIDED, self.label) and held_s >= self.settings.confirm_s:
+            self.label, self.decided_tick = candidate, tick
 
     def reset(self) -> None:
         """Withdraw the label."""
         self.label, self.decided_tick = UNDECIDED, -1
+        self._candidate, self._candidate_tick = UNDECIDED, -1

@@ -19,11 +19,13 @@ LOST_ALLOWED = 5  # samples that may be missing in a grasp
 class GraspEstimation:
     """Follows one grasp; `take` its samples in steps, `finish` for its record."""
 
-    def __init__(self, index: int, start_tick: int, bank: Bank, evidence: Evidence, settings: Settings) -> None:
+    def __init__(
+        self, index: int, start_tick: int, bank: Bank, evidence: Evidence, settings: Settings, rate_hz: float
+    ) -> None:
         self.index, self.start_tick = index, start_tick
         self._bank, self._evidence = bank, evidence
         self.names = bank.priors.names
-        self.decision = Decision((*self.names, UNKNOWN), settings)
+        self.decision = Decision((*self.names, UNKNOWN), settings, rate_hz)
         self.probabilities = evidence.prior
         self.best = -1
         self.peak_n, self.peak_m = np.nan, np.nan

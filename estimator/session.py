@@ -84,7 +84,12 @@ class EstimationSession:
             self._in_grasp = True
             self._criteria = self._empty_criteria()
             self._grasp = GraspEstimation(
-                int(last["grasp"]), int(last["grasp_start_tick"]), self.bank, self.evidence, self._settings
+                int(last["grasp"]),
+                int(last["grasp_start_tick"]),
+                self.bank,
+                self.evidence,
+                self._settings,
+                self._rate_hz,
             )
         if self._in_grasp and self._grasp:
             self._follow(self._grasp, window, rows)

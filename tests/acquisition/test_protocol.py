@@ -89,7 +89,7 @@ def test_a_trapezoid_is_played_up_to_the_tools_command_and_refused_beyond(peak_v
     if peak_v <= 3.5:
         assert command_cycle(trapezoid(peak_v), TOOL).max() == pytest.approx(peak_v, rel=1e-12)
         return
-    with pytest.raises(RefusedError, match=rf"'mine' asks for {peak_v:.2f} V.* allows at most 3\.50 V\. Lower its peak"):
+    with pytest.raises(RefusedError, match=rf"asks for {peak_v:.2f} V.* allows at most 3\.50 V\. Lower its peak"):
         ProtocolPlayer(trapezoid(peak_v), TOOL, 1)
 
 

@@ -10,7 +10,7 @@ NAMES = ("liver", "bladder", "unknown")
 
 
 def test_names_at_the_bound_keeps_the_name_and_withdraws_it_below():
-    decision = Decision(NAMES, Identification(decide_at=0.8, withdraw_below=0.6))
+    decision = Decision(NAMES, Identification(decide_at=0.8, withdraw_below=0.6, confirm_s=0), rate_hz=1000)
     course = [([0.7, 0.2, 0.1], UNDECIDED), ([0.85, 0.1, 0.05], "liver"), ([0.65, 0.3, 0.05], "liver"),
               ([0.55, 0.4, 0.05], UNDECIDED), ([0.1, 0.85, 0.05], "bladder")]  # fmt: skip
     for tick, (probabilities, label) in enumerate(course):
@@ -19,8 +19,19 @@ def test_names_at_the_bound_keeps_the_name_and_withdraws_it_below():
     assert decision.decided_tick == 4
 
 
+def test_a_probability_that_only_flares_up_names_nothing():
+    decision = Decision(NAMES, Identification(decide_at=0.8, withdraw_below=0.6, confirm_s=0.03), rate_hz=1000)
+    for tick in range(0, 200, 5):
+        flare = 0.9 if tick % 40 < 30 else 0.7  # never 30 ms in a row
+        decision.update(np.array([flare, 1 - flare, 0.0]), tick)
+        assert decision.label == UNDECIDED
+    for tick in range(200, 240, 5):
+        decision.update(np.array([0.9, 0.1, 0.0]), tick)
+    assert (decision.label, decision.decided_tick) == ("liver", 230)
+
+
 def test_unknown_is_an_answer_of_equal_rank():
-    decision = Decision(NAMES, Identification())
+    decision = Decision(NAMES, Identification(confirm_s=0), rate_hz=1000)
     decision.update(np.array([0.02, 0.03, 0.95]), 7)
     assert (decision.label, decision.decided_tick) == ("unknown", 7)
 

@@ -97,7 +97,7 @@ def test_a_slipping_encoder_is_not_believed():
 def test_what_the_wall_taught_is_taken_back():
     samples, _ = conditioned(TOOL, LIBRARY, SETTINGS, load_protocol("trapezoid_2hz"), "bladder")
     contact = int(np.flatnonzero(samples["contact_tick"] >= 0)[0]) // 5 * 5
-    until, known = contact + 100, contact + 140
+    until, known = contact + 200, contact + 240
     honest, _, _ = estimated(samples[:until], by(samples[:until], 5))
     walled = samples[: known + 100].copy()
     walled["jaw_force_n"][until:] += np.linspace(0, 20, len(walled) - until)  # shut: force without motion
