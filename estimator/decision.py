@@ -25,7 +25,7 @@ class Decision:
     def update(self, probabilities: np.ndarray, tick: int) -> None:
         """Take the probabilities, (K + 1,), at a tick."""
         if self.label != UNDECIDED and probabilities[self.names.index(self.label)] < self.settings.withdraw_below:
-            self.reset()
+            self.label, self.decided_tick = UNDECIDED, -1
         top = int(np.argmax(probabilities))
         candidate = self.names[top] if probabilities[top] >= self.settings.decide_at else UNDECIDED
         if candidate != self._candidate:
@@ -33,8 +33,3 @@ class Decision:
         held_s = (tick - self._candidate_tick) / self.rate_hz
         if candidate not in (UNDECIDED, self.label) and held_s >= self.settings.confirm_s:
             self.label, self.decided_tick = candidate, tick
-
-    def reset(self) -> None:
-        """Withdraw the label."""
-        self.label, self.decided_tick = UNDECIDED, -1
-        self._candidate, self._candidate_tick = UNDECIDED, -1

@@ -1,5 +1,8 @@
 """One grasp's estimation: bank, evidence, decision and criteria from contact to the end."""
 
+from copy import copy
+from dataclasses import dataclass
+
 import numpy as np
 
 from acquisition.blocks import Flag
@@ -14,6 +17,18 @@ from estimator.model import force_curve
 UNFELT_FORCE_N = 0.005  # noise of the force after averaging as the contact search does
 KEPT_STEPS = 100  # of EVIDENCE_SAMPLES each: how far back the jaws may turn out to have been shut
 LOST_ALLOWED = 5  # samples that may be missing in a grasp
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What was known before the samples from `tick` on were taken."""
+
+    tick: int
+    bank: BankState
+    decision: Decision
+    probabilities: np.ndarray
+    best: int
+    taken: int
 
 
 class GraspEstimation:
@@ -34,7 +49,7 @@ class GraspEstimation:
         self.flags = 0
         self.lost_samples = 0
         self._errors = ForceErrors(len(self.names), settings.convergence_error)
-        self._kept: list[tuple[int, BankState, int]] = []  # tick, bank, samples taken
+        self._kept: list[_Kept] = []
         self._taken = 0
 
     def begin(self, sample: np.void, before_m: np.ndarray, rate_hz: float) -> None:
@@ -53,7 +68,12 @@ class GraspEstimation:
 
     def take(self, samples: np.ndarray, estimates: np.ndarray) -> None:
         """Advance over samples in contact and write their estimates; the probabilities follow at the last one."""
-        self._kept.append((int(samples["tick"][0]), self._bank.state.copy(), self._taken))
+        self._kept.append(
+            _Kept(
+                int(samples["tick"][0]), self._bank.state.copy(), copy(self.decision), self.probabilities, self.best,
+                self._taken,
+            )
+        )  # fmt: skip
         del self._kept[:-KEPT_STEPS]
         force_n = np.ascontiguousarray(samples["jaw_force_n"])
         displacement = samples["jaw_displacement_m"] - self._contact_m
@@ -68,24 +88,19 @@ class GraspEstimation:
         estimates["log_sd"] = np.sqrt(variance[:, :, LOG_ALPHA : LOG_DAMPING + 1])
         estimates["force_n"] = force_curve(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, 0])
         self._errors.add(estimates["force_n"], force_n)
-        self._conclude(int(samples["tick"][-1]))
-
-    def _conclude(self, tick: int) -> None:
         self.probabilities, self.best = self._evidence.probabilities()
-        self.decision.update(self.probabilities, tick)
+        self.decision.update(self.probabilities, int(samples["tick"][-1]))
 
     def shut(self, wall_tick: int) -> None:
         """The jaws have been shut since `wall_tick`: take back what was learned from there on, and learn no more."""
         self.over = True
         if not self._kept:
             return
-        before = [kept for kept in self._kept if kept[0] <= wall_tick] or self._kept[:1]
-        tick, self._bank.state, self._taken = before[-1]
-        self._kept.clear()
+        last = ([kept for kept in self._kept if kept.tick <= wall_tick] or self._kept[:1])[-1]
+        self._bank.state, self.decision, self._taken = last.bank, last.decision, last.taken
+        self.probabilities, self.best = last.probabilities, last.best
         self._errors.truncate(self._taken)
-        if self.decision.decided_tick >= tick:
-            self.decision.reset()
-        self._conclude(tick)
+        self._kept.clear()
 
     def why_invalid(self) -> str | None:
         """What speaks against believing this grasp, or None."""

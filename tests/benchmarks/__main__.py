@@ -15,7 +15,7 @@ from rich.table import Table
 
 sys.path.insert(1, str(Path(__file__).parents[1]))  # the tests' own helpers
 
-from benchmarks import bank, headless, live  # noqa: E402
+from benchmarks import bank, headless, live
 
 
 def main() -> None:
