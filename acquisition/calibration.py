@@ -37,15 +37,15 @@ def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSign
     Source: Eqs. (1) to (6) with the geometry of Table I.
     """
     geometry, calibration = tool.geometry, tool.calibration
-    beta0 = np.radians(geometry.beta0_deg)
-    radian_per_encoder = np.radians(calibration.handle_per_encoder)
+    beta0 = math.radians(geometry.beta0_deg)
+    radian_per_encoder = math.radians(calibration.handle_per_encoder)
     theta_handle = radian_per_encoder * (encoder_deg - calibration.encoder_deg_per_volt * strain_v)  # Eqs. (3)-(5)
 
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         tangent = np.tan(theta_handle)
         rod = geometry.a_m * tangent  # p: how far the push rod has moved
         left = geometry.l0_m - rod
-        numerator = 2 * geometry.l2_m * geometry.l0_m * np.cos(beta0) + rod**2 - 2 * geometry.l0_m * rod
+        numerator = 2 * geometry.l2_m * geometry.l0_m * math.cos(beta0) + rod**2 - 2 * geometry.l0_m * rod
         cosine = numerator / (2 * geometry.l2_m * left)
         angle = np.arccos(cosine)  # beta0 + theta_jaw; NaN outside its domain
         theta_jaw = angle - beta0

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import Annotated, Any
 
+import rich.markup
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -160,8 +161,10 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
     address, bound = listener.getsockname()[:2]
     shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else address
     what = f"replay of {', '.join(path.name for path in plan.recordings)}" if plan.recordings else plan.tool.title
-    errors.print(f"Graspwatch {__version__}: {what}. Research instrument, not a medical device.")
-    errors.print("Preparing the filters; on the very first start they are compiled, which takes up to a minute.")
+    errors.print(f"Graspwatch {__version__}: {what}. Research instrument, not a medical device.", soft_wrap=True)
+    errors.print(
+        "Preparing the filters; the very first start compiles them, which takes up to a minute.", soft_wrap=True
+    )
     print(f"Dashboard: http://{shown}:{bound}/  (API: http://{shown}:{bound}/docs)  Ctrl+C ends it.", flush=True)
     serve_plan(plan, listener)
 
@@ -219,7 +222,7 @@ def main() -> None:
     try:
         app()
     except GraspwatchError as error:
-        errors.print(f"[bold red]Error:[/] {error}", markup=True)
+        errors.print("[bold red]Error:[/]", rich.markup.escape(str(error)), soft_wrap=True)
         sys.exit(error.exit_code)
     except BrokenPipeError:
         sys.exit(0)

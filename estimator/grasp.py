@@ -14,6 +14,7 @@ from estimator.decision import UNDECIDED, UNKNOWN, Decision
 from estimator.evidence import Evidence
 from estimator.model import force_curve
 
+ENCODER_SLIPS, SATURATED = Flag.ENCODER_SLIPS.value, Flag.SATURATED.value
 UNFELT_FORCE_N = 0.005  # noise of the force after averaging as the contact search does
 KEPT_STEPS = 100  # of EVIDENCE_SAMPLES each: how far back the jaws may turn out to have been shut
 LOST_ALLOWED = 5  # samples that may be missing in a grasp
@@ -104,9 +105,9 @@ class GraspEstimation:
 
     def why_invalid(self) -> str | None:
         """What speaks against believing this grasp, or None."""
-        if self.flags & Flag.ENCODER_SLIPS:
+        if self.flags & ENCODER_SLIPS:
             return "the encoder slips or walks: displacement cannot be believed"
-        if self.flags & Flag.SATURATED:
+        if self.flags & SATURATED:
             return "the strain gage is saturated"
         if self.contact_tick < 0:
             return "no contact with tissue was found"

@@ -122,7 +122,7 @@ class EstimationSession:
             grasp.take(samples, rows)
 
     def _warn(self, samples: np.ndarray, rows: np.ndarray, alarms: list[ForceAlarm]) -> None:
-        threshold_n, tissue = self._threshold()
+        threshold_n, tissue = self._threshold(self._grasp.label if self._grasp else UNDECIDED)
         rows["threshold_n"] = threshold_n
         force_n = float(np.add.reduce(samples["jaw_force_n"])) / len(samples)
         if np.isfinite(force_n):
@@ -130,21 +130,20 @@ class EstimationSession:
             if alarm:
                 alarms.append(alarm)
 
-    def _threshold(self) -> tuple[float, str | None]:
+    def _threshold(self, label: str) -> tuple[float, str | None]:
         """Injury threshold in force, N, and whose it is; the lowest of the library (None) while no tissue is named."""
-        label = self._grasp.label if self._in_grasp and self._grasp else UNDECIDED
-        if label in self._thresholds:
+        if self._in_grasp and label in self._thresholds:
             return self._thresholds[label], label
         return self._lowest_n, None
 
     def _identification(self, samples: np.ndarray) -> Identification:
         grasp, last = self._grasp, samples[-1]
-        threshold_n, tissue = self._threshold()
         step = int(last["tick"]) // STEP_SAMPLES
         if grasp and self._in_grasp and not grasp.over and step % CRITERIA_EVERY == 0:
             self._criteria = grasp.criteria(self._rate_hz)
         probabilities = grasp.named_probabilities() if grasp else {}
         label = grasp.label if grasp else UNDECIDED
+        threshold_n, tissue = self._threshold(label)
         return Identification(
             tick=int(last["tick"]),
             grasp=grasp.index if grasp else 0,
