@@ -258,7 +258,7 @@ def test_how_samples_are_cut_into_blocks_does_not_matter(cuts: list[int]) -> Non
 
 
 @pytest.mark.parametrize("tool", [TOOL, UNSENSED], ids=lambda tool: tool.name)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(cuts=CUTS)
 def test_once_tared_how_samples_are_cut_into_blocks_does_not_matter(tool: Tool, cuts: list[int]) -> None:
     quiet = replace(NOISY, strain_v=np.where(np.arange(len(NOISY)) < 520, REST_V, NOISY.strain_v))

@@ -1,0 +1,84 @@
+import { byId, create, setAttribute, setData, setHidden, setProperty, setText } from "../dom";
+import { newtons, wholePercent } from "../format";
+import type { Model } from "../live/model";
+import type { Hello } from "../wire";
+
+/** The gauge ends a fifth above the limit, so that "over" has a place of its own. */
+const GAUGE_END = 1.2;
+const ZONES = ["low", "medium", "high"] as const;
+type Zone = "none" | "safe" | (typeof ZONES)[number];
+
+/** Force now and its peak against the force that injures. */
+export class ForceCard {
+  private readonly card = byId("force");
+  private readonly gauge = byId("gauge");
+  private zonesFor: number[] | null = null;
+
+  constructor(private readonly model: Model) {}
+
+  render(): void {
+    const { hello, identification } = this.model;
+    if (!hello) return;
+    if (this.zonesFor !== hello.warning_shares) this.markZones(hello);
+    const limit = identification?.threshold_n ?? hello.lowest_threshold_n;
+    const filtered = this.model.newest("jaw_force_filtered_n");
+    const force = Number.isFinite(filtered) ? filtered : this.model.newest("jaw_force_n");
+    const share = force / limit;
+    setText(byId("force-now"), newtons(force));
+    this.renderZone(share, hello.warning_shares);
+    this.renderPeak(force, limit);
+    setProperty(this.gauge, "--share", onGauge(share));
+    setAttribute(this.gauge, "aria-valuenow", Number.isFinite(share) ? String(Math.round(share * 100)) : "0");
+    setAttribute(this.gauge, "aria-valuemax", String(GAUGE_END * 100));
+    setText(byId("force-threshold"), `Limit ${newtons(limit)} · ${this.whose(identification?.threshold_tissue ?? null)}`);
+  }
+
+  private whose(tissue: string | null): string {
+    if (tissue === null) return "the lowest of the library";
+    return `injury threshold of ${this.model.titleOf(tissue).toLowerCase()}`;
+  }
+
+  private renderZone(share: number, shares: number[]): void {
+    const zone = zoneOf(share, shares);
+    setData(this.card, "zone", zone);
+    setText(byId("force-zone"), zoneInWords(zone, share));
+  }
+
+  /** While a grasp goes on, also as a mark on the gauge; afterwards the limit on the gauge is another one. */
+  private renderPeak(force: number, limit: number): void {
+    const held = this.model.identification;
+    const told = held && held.grasp > 0 ? held.peak_force_n : null;
+    const mark = byId("gauge-peak");
+    setHidden(mark, told === null || !held?.in_grasp);
+    if (told === null) return setText(byId("force-peak"), "");
+    if (!held?.in_grasp) return setText(byId("force-peak"), `Peak of the last grasp ${newtons(told)}`);
+    const peak = force > told ? force : told;
+    setProperty(mark, "--share", onGauge(peak / limit));
+    setText(byId("force-peak"), `Peak ${newtons(peak)} (${wholePercent(peak / limit)})`);
+  }
+
+  private markZones(hello: Hello): void {
+    this.zonesFor = hello.warning_shares;
+    const marks = hello.warning_shares.map((share, i) => {
+      const mark = create("span", "zone", wholePercent(share));
+      mark.dataset.zone = ZONES[i] ?? "high";
+      setProperty(mark, "--share", onGauge(share));
+      return mark;
+    });
+    byId("gauge-zones").replaceChildren(...marks);
+  }
+}
+
+const onGauge = (share: number): number => (Number.isFinite(share) ? Math.min(1, Math.max(0, share / GAUGE_END)) : 0);
+
+function zoneInWords(zone: Zone, share: number): string {
+  if (zone === "none") return "no value";
+  const percent = wholePercent(Math.max(0, share));
+  return zone === "high" ? `OVER THE LIMIT: ${percent} of it` : `${percent} of the limit`;
+}
+
+function zoneOf(share: number, shares: number[]): Zone {
+  if (!Number.isFinite(share)) return "none";
+  const reached = shares.filter((limit) => share >= limit).length;
+  return reached === 0 ? "safe" : (ZONES[reached - 1] ?? "high");
+}

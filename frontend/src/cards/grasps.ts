@@ -1,0 +1,57 @@
+import { byId, create, setHidden, setText } from "../dom";
+import { NO_VALUE, newtons, percent, shortTime, wholePercent } from "../format";
+import type { Model } from "../live/model";
+import { looksOf, UNKNOWN_SLOT } from "../tissues";
+import type { GraspEnded } from "../wire";
+
+/** The grasps of this run, newest first. */
+export class GraspsTable {
+  private shown: GraspEnded[] | null = null;
+
+  constructor(private readonly model: Model) {}
+
+  render(): void {
+    const { grasps } = this.model;
+    setHidden(byId("grasps"), grasps.length === 0);
+    setText(byId("grasps-empty"), this.note());
+    if (grasps === this.shown) return;
+    this.shown = grasps;
+    byId("grasps-body").replaceChildren(...grasps.map((ended) => this.row(ended)));
+  }
+
+  private note(): string {
+    const { grasps, state } = this.model;
+    const run = state?.run ?? state?.last_run;
+    const missing = (run?.grasps ?? 0) - grasps.filter((ended) => ended.run_id !== null).length;
+    if (missing > 0 && grasps.length > 0) return `${missing} earlier of ${run?.grasps} are not shown here.`;
+    if (missing > 0) return `${missing} came before this page was opened and are not shown here.`;
+    return grasps.length > 0 ? "" : "None yet. Each grasp gets a line here when the jaws have opened again.";
+  }
+
+  private row({ grasp, run_id: runId }: GraspEnded): HTMLTableRowElement {
+    const row = create("tr");
+    const limit = this.limitOf(grasp.label);
+    const share = grasp.peak_force_n === null ? NO_VALUE : wholePercent(grasp.peak_force_n / limit);
+    const tissue = create("td", "what");
+    const look = looksOf(this.model.hello?.tissues ?? []).find(({ name }) => name === grasp.label);
+    const swatch = create("span", "swatch", look?.mark ?? "…");
+    tissue.dataset.slot = look?.slot ?? UNKNOWN_SLOT;
+    tissue.append(swatch, this.model.titleOf(grasp.label));
+    if (!grasp.valid) tissue.append(create("small", "invalid", `not valid: ${grasp.why_invalid ?? "no reason given"}`));
+    row.append(
+      create("td", "", runId === null && this.model.graspsOfRun !== null ? NO_VALUE : String(grasp.index)),
+      tissue,
+      create("td", "", percent(grasp.probability)),
+      create("td", "roomy", shortTime(grasp.time_to_decision_s)),
+      create("td", "", newtons(grasp.peak_force_n)),
+      create("td", "", share),
+    );
+    return row;
+  }
+
+  /** The tissue's own limit, or the lowest of the library where the tissue is not known. */
+  private limitOf(label: string): number {
+    const { hello } = this.model;
+    return hello?.tissues.find(({ name }) => name === label)?.threshold_n ?? hello?.lowest_threshold_n ?? NaN;
+  }
+}

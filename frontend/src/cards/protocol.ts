@@ -1,0 +1,140 @@
+import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import { count } from "../format";
+import { getProtocols, startRun } from "../live/rest";
+import type { Model } from "../live/model";
+import type { Hello, Phase, ProtocolInfo, Run, RunRequest } from "../wire";
+import { drawWaveform } from "./waveform";
+
+const PHASE: Record<Phase, string> = {
+  starting: "starting up",
+  idle: "ready",
+  running: "running",
+  replaying: "replaying",
+  ended: "replay over",
+  faulted: "FAULT",
+};
+
+/** Choosing a motion, seeing it before it runs, and starting it. */
+export class ProtocolPanel {
+  private readonly protocol = byId<HTMLSelectElement>("protocol");
+  private readonly tissue = byId<HTMLSelectElement>("tissue-select");
+  private readonly cycles = byId<HTMLInputElement>("cycles");
+  private readonly start = byId<HTMLButtonElement>("start");
+  private readonly message = byId("run-message");
+  private protocols: ProtocolInfo[] = [];
+  private startedRun: string | null = null;
+  private tissuesFor: Hello["tissues"] | null = null;
+
+  constructor(private readonly model: Model) {
+    this.protocol.addEventListener("change", () => this.preview());
+    byId("run-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.submit();
+    });
+  }
+
+  /** Fetches the protocols; at each new connection, since the server may have been given others. */
+  async load(): Promise<void> {
+    try {
+      this.protocols = await getProtocols();
+    } catch (error) {
+      if (this.protocols.length === 0) setText(byId("waveform-facts"), `No protocols: ${messageOf(error)}.`);
+      return;
+    }
+    const chosen = this.protocol.value;
+    this.protocol.replaceChildren(...this.protocols.map(({ name, title }) => option(name, title)));
+    if (this.protocols.some(({ name }) => name === chosen)) this.protocol.value = chosen;
+    this.protocol.disabled = this.protocols.length === 0;
+    this.preview();
+  }
+
+  render(): void {
+    const { hello, state } = this.model;
+    if (hello && this.tissuesFor !== hello.tissues) this.listTissues(hello);
+    setText(byId("phase"), state ? PHASE[state.phase] : "");
+    setData(byId("phase"), "phase", state?.phase ?? "");
+    setText(byId("run-now"), this.runInWords());
+    if (this.startedRun && state?.run === null && state.last_run?.id === this.startedRun) this.forget();
+    if (hello && state) this.nameHeldTissue(state.simulated_tissue);
+  }
+
+  submitByKey(): void {
+    byId<HTMLFormElement>("run-form").requestSubmit();
+  }
+
+  /** What was said about starting no longer matters. */
+  forget(): void {
+    this.startedRun = null;
+    setText(this.message, "");
+  }
+
+  private async submit(): Promise<void> {
+    if (this.start.ariaBusy === "true") return;
+    this.say("Starting…", "pending");
+    setAttribute(this.start, "aria-busy", "true");
+    try {
+      const run = await startRun(this.request());
+      this.startedRun = run.id;
+      this.say(`Started: ${this.titleOf(run)}, ${count(run.cycles, "grasp")}.`, "done");
+    } catch (error) {
+      this.say(`Not started: ${messageOf(error)}`, "failed");
+    } finally {
+      setAttribute(this.start, "aria-busy", "false");
+    }
+  }
+
+  private request(): RunRequest {
+    const cycles = this.cycles.value.trim();
+    const simulated = this.model.hello?.tool.kind === "simulated";
+    return {
+      protocol: this.protocol.value,
+      cycles: cycles === "" ? null : Number(cycles),
+      tissue: simulated && this.tissue.value !== "" ? this.tissue.value : null,
+    };
+  }
+
+  private preview(): void {
+    const protocol = this.protocols.find(({ name }) => name === this.protocol.value);
+    if (!protocol) return;
+    drawWaveform(protocol);
+    this.cycles.value = String(protocol.cycles);
+  }
+
+  private listTissues(hello: Hello): void {
+    this.tissuesFor = hello.tissues;
+    setHidden(byId("tissue-choice"), hello.tool.kind !== "simulated");
+    const chosen = this.tissue.value;
+    this.tissue.replaceChildren(option("", "As before"), ...hello.tissues.map(({ name, title }) => option(name, title)));
+    if (hello.tissues.some(({ name }) => name === chosen)) this.tissue.value = chosen;
+  }
+
+  private nameHeldTissue(tissue: string | null): void {
+    const first = this.tissue.options[0];
+    if (first) setText(first, tissue === null ? "As before" : `As before (${this.model.titleOf(tissue)})`);
+  }
+
+  private runInWords(): string {
+    const { state } = this.model;
+    if (state?.phase === "faulted") return `The tool is at fault: ${state.faults.join("; ") || "see the log"}`;
+    const run = state?.run ?? state?.last_run;
+    if (!run) return "";
+    if (run.state === "running") return `Running ${this.titleOf(run)}: ${run.grasps} of ${count(run.cycles, "grasp")} done`;
+    const why = run.why === null ? "" : `: ${run.why}`;
+    return `Last run ${this.titleOf(run)} ${run.state} after ${count(run.grasps, "grasp")}${why}`;
+  }
+
+  private titleOf = (run: Run): string => this.protocols.find(({ name }) => name === run.protocol)?.title ?? run.protocol;
+
+  private say(text: string, outcome: "pending" | "done" | "failed"): void {
+    setText(this.message, text);
+    setData(this.message, "outcome", outcome);
+  }
+}
+
+function option(value: string, text: string): HTMLOptionElement {
+  const element = create("option", "", text);
+  element.value = value;
+  return element;
+}
+
+const messageOf = (error: unknown): string => (error instanceof Error ? error.message : String(error));

@@ -1,0 +1,107 @@
+import { byId, create, setData, setProperty, setText } from "../dom";
+import { elapsed, percent, shortTime } from "../format";
+import type { Model } from "../live/model";
+import { looksOf, UNKNOWN_SLOT, type Look } from "../tissues";
+import type { Hello, Identification } from "../wire";
+
+interface Bar {
+  look: Look;
+  row: HTMLElement;
+  value: HTMLElement;
+}
+
+/** What is held, how sure that is, and what else it could be. */
+export class TissueCard {
+  private readonly card = byId("tissue");
+  private bars: Bar[] = [];
+  private barsFor: Hello["tissues"] | null = null;
+
+  constructor(private readonly model: Model) {}
+
+  render(nowMs: number): void {
+    const { hello, identification } = this.model;
+    if (hello && this.barsFor !== hello.tissues) this.buildBars(hello);
+    if (!identification || identification.grasp === 0) this.renderNothingHeld();
+    else this.renderAnswer(identification, nowMs);
+    this.renderBars(identification);
+  }
+
+  private renderNothingHeld(): void {
+    setData(this.card, "answer", "none");
+    setText(byId("tissue-when"), "Held tissue");
+    setText(byId("tissue-mark"), "");
+    setText(byId("tissue-label"), this.model.hello ? "Nothing yet" : "Connecting…");
+    setText(byId("tissue-probability"), "");
+    setText(byId("tissue-facts"), this.hint());
+  }
+
+  private hint(): string {
+    const { hello, state, isStarting, lastEvent } = this.model;
+    if (isStarting) return `The service is getting ready. ${lastEvent ?? ""}`;
+    if (!hello) return "Waiting for the server. If this lasts, see whether it runs: graspwatch serve";
+    if (hello.tool.kind === "recording") return "The answer appears with the recording's first grasp.";
+    return state?.run ? "The jaws are on their way to the first grasp." : "Choose a protocol and start it to grasp.";
+  }
+
+  private renderAnswer(held: Identification, nowMs: number): void {
+    const past = !held.in_grasp;
+    setData(this.card, "answer", held.label === "undecided" ? "undecided" : "named");
+    setData(this.card, "slot", held.label === "undecided" ? "" : this.slotOf(held.label));
+    setData(this.card, "past", String(past));
+    setText(byId("tissue-when"), past ? `Last grasp${this.sinceEnd(nowMs)}` : `${this.holding(nowMs)} · grasp ${held.grasp}`);
+    setText(byId("tissue-mark"), held.label === "undecided" ? "…" : this.markOf(held.label));
+    setText(byId("tissue-label"), this.model.titleOf(held.label));
+    setText(byId("tissue-probability"), held.label === "undecided" ? "" : percent(held.probability));
+    setText(byId("tissue-facts"), this.facts(held));
+    setText(byId("label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
+  }
+
+  private holding(nowMs: number): string {
+    return this.model.freshness.at(nowMs) === "lost" ? "Last known" : "Holding now";
+  }
+
+  private sinceEnd(nowMs: number): string {
+    const endedAt = this.model.graspEndedAt;
+    return endedAt === null ? " · over" : ` · over for ${elapsed(nowMs - endedAt)}`;
+  }
+
+  private facts(held: Identification): string {
+    if (held.in_grasp && !held.in_contact) return "closing, no contact yet";
+    if (held.label === "undecided") return this.undecidedFacts(held);
+    const after = held.time_to_decision_s === null ? "" : `decided ${shortTime(held.time_to_decision_s)} after contact`;
+    return [held.label === "unknown" ? "nothing of the library" : "", after].filter(Boolean).join(" · ");
+  }
+
+  private undecidedFacts(held: Identification): string {
+    const notSure = held.in_grasp ? "not sure enough to name it" : "never sure enough to name it";
+    const [likeliest] = Object.entries(held.probabilities).sort(([, a], [, b]) => b - a);
+    return likeliest ? `${notSure} · likeliest ${this.model.titleOf(likeliest[0])}, ${percent(likeliest[1])}` : notSure;
+  }
+
+  private slotOf = (label: string): string => this.lookOf(label)?.slot ?? UNKNOWN_SLOT;
+  private markOf = (label: string): string => this.lookOf(label)?.mark ?? "?";
+  private lookOf = (label: string): Look | undefined => this.bars.find((bar) => bar.look.name === label)?.look;
+
+  private buildBars(hello: Hello): void {
+    this.barsFor = hello.tissues;
+    this.bars = looksOf(hello.tissues).map((look) => {
+      const row = create("li");
+      row.dataset.slot = look.slot;
+      const track = create("span", "bar-track");
+      track.append(create("span", "bar-fill"));
+      const value = create("span", "bar-value");
+      row.append(create("span", "swatch", look.mark), create("span", "bar-name", look.title), track, value);
+      return { look, row, value };
+    });
+    byId("tissue-bars").replaceChildren(...this.bars.map((bar) => bar.row));
+  }
+
+  private renderBars(held: Identification | null): void {
+    for (const { look, row, value } of this.bars) {
+      const share = held && held.grasp > 0 ? held.probabilities[look.name] : undefined;
+      setProperty(row, "--share", share ?? 0);
+      setText(value, percent(share));
+      setData(row, "chosen", String(held?.grasp !== 0 && held?.label === look.name));
+    }
+  }
+}

@@ -1,0 +1,77 @@
+import type uPlot from "uplot";
+import type { Hello } from "../wire";
+import type { Parameter } from "./traces";
+
+type Range = [number, number];
+
+/** How a chart's vertical axis is laid out. */
+export interface VerticalScale {
+  logarithmic: boolean;
+  range: (dataMin: number | null, dataMax: number | null) => Range;
+  label: (value: number) => string;
+  /** The value under the cursor. */
+  readout: (value: number) => string;
+  splits?: (min: number, max: number) => number[];
+}
+
+/** From a little below zero to the next half newton above limit and data. */
+const force = (hello: Hello): VerticalScale => ({
+  logarithmic: false,
+  range: (min, max) => [stepDown(Math.min(-0.1, min ?? 0), 0.1), stepUp(Math.max(hello.lowest_threshold_n, max ?? 0) * 1.06, 0.5)],
+  label: (n) => n.toFixed(1),
+  readout: (n) => n.toFixed(2),
+});
+
+const displacement: VerticalScale = {
+  logarithmic: false,
+  range: (min, max) => [stepDown(Math.min(-1e-4, min ?? 0), 1e-4), stepUp(Math.max(1e-3, (max ?? 0) * 1.06), 1e-3)],
+  label: (m) => short(m * 1000),
+  readout: (m) => (m * 1000).toFixed(2),
+};
+
+const probability: VerticalScale = {
+  logarithmic: false,
+  range: () => [-0.04, 1.04],
+  label: (share) => (share * 100).toFixed(0),
+  readout: (share) => (share * 100).toFixed(0),
+  splits: () => [0, 0.25, 0.5, 0.75, 1],
+};
+
+/** Whole decades that hold the library and the estimates; estimates that run away leave the chart, not the scale. */
+const parameter = (hello: Hello, which: Parameter): VerticalScale => {
+  const library = hello.tissues.map((tissue) => tissue[which]);
+  const low = Math.min(...library);
+  const high = Math.max(...library);
+  return {
+    logarithmic: true,
+    range: (min, max) => [
+      10 ** Math.floor(Math.log10(Math.max(Math.min(low, min ?? low), low / 10))),
+      10 ** Math.ceil(Math.log10(Math.min(Math.max(high, max ?? high), high * 10) * 0.999)),
+    ],
+    label: short,
+    readout: short,
+    splits: decades,
+  };
+};
+
+export function verticalScale(chart: string, hello: Hello, which: Parameter): VerticalScale {
+  if (chart === "force") return force(hello);
+  if (chart === "displacement") return displacement;
+  return chart === "probability" ? probability : parameter(hello, which);
+}
+
+/** The scale as uPlot takes it. */
+export const asScale = (scale: VerticalScale): uPlot.Scale => ({
+  distr: scale.logarithmic ? 3 : 1,
+  range: (_chart, min, max) => scale.range(min, max),
+});
+
+const short = (value: number): string => Number(value.toPrecision(3)).toString();
+
+function decades(min: number, max: number): number[] {
+  const first = Math.round(Math.log10(min));
+  return Array.from({ length: Math.round(Math.log10(max)) - first + 1 }, (_, i) => 10 ** (first + i));
+}
+
+const stepUp = (value: number, step: number): number => Math.ceil(value / step - 1e-9) * step;
+const stepDown = (value: number, step: number): number => Math.floor(value / step + 1e-9) * step;

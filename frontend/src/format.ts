@@ -1,0 +1,53 @@
+/** What stands where there is no value. */
+export const NO_VALUE = "–";
+
+export function fixed(value: number | null | undefined, digits: number, unit: string): string {
+  return value === null || value === undefined || !Number.isFinite(value)
+    ? NO_VALUE
+    : `${value.toFixed(digits)}\u202f${unit}`;
+}
+
+export const newtons = (value: number | null | undefined): string => fixed(withoutMinusZero(value), 2, "N");
+
+/** Probabilities never read 100 % or 0 % unless they are. */
+export function percent(share: number | null | undefined): string {
+  if (share === null || share === undefined || !Number.isFinite(share)) return NO_VALUE;
+  if (share > 0.99 && share < 1) return ">\u202f99\u202f%";
+  if (share > 0 && share < 0.005) return "<\u202f1\u202f%";
+  return `${Math.round(share * 100)}\u202f%`;
+}
+
+export const wholePercent = (share: number): string =>
+  Number.isFinite(share) ? `${Math.round(share * 100)}\u202f%` : NO_VALUE;
+
+export function duration(ms: number): string {
+  const s = Math.max(0, ms) / 1000;
+  if (s < 10) return `${s.toFixed(1)}\u202fs`;
+  if (s < 60) return `${Math.floor(s)}\u202fs`;
+  if (s < 3600) return `${Math.floor(s / 60)}\u202fmin ${Math.floor(s % 60)}\u202fs`;
+  return `${Math.floor(s / 3600)}\u202fh ${Math.floor((s % 3600) / 60)}\u202fmin`;
+}
+
+/** How long ago something began, in whole seconds. */
+export const elapsed = (ms: number): string => {
+  const s = Math.floor(Math.max(0, ms) / 1000);
+  return s < 60 ? `${s}\u202fs` : duration(s * 1000);
+};
+
+/** Seconds of a decision, short ones in milliseconds. */
+export function shortTime(s: number | null): string {
+  if (s === null || !Number.isFinite(s)) return NO_VALUE;
+  return s < 1 ? `${Math.round(s * 1000)}\u202fms` : `${s.toFixed(2)}\u202fs`;
+}
+
+/** The wall clock at a moment of `performance.now()`. */
+export function clockTime(pageMs: number): string {
+  const date = new Date(Date.now() - (performance.now() - pageMs));
+  return date.toLocaleTimeString("en-GB", { hour12: false });
+}
+
+export const count = (n: number, one: string, many = `${one}s`): string => `${n} ${n === 1 ? one : many}`;
+
+function withoutMinusZero(value: number | null | undefined): number | null | undefined {
+  return typeof value === "number" && value < 0 && value > -0.005 ? 0 : value;
+}

@@ -1,0 +1,70 @@
+import type { FrameReceived, ServerMessage } from "../wire";
+import { decodeFrame, type Frame } from "./frame";
+
+const FIRST_RETRY_MS = 250;
+const LONGEST_RETRY_MS = 2000;
+/** The server speaks at least once a second; a connection this silent is dead though nobody closed it. */
+const SILENT_AFTER_MS = 4000;
+
+export interface Listener {
+  onMessage(message: ServerMessage, arrivedMs: number): void;
+  onFrame(frame: Frame, arrivedMs: number): void;
+  onConnected(connected: boolean): void;
+}
+
+/** The WebSocket to `/api/live`, opened again and again until it holds. */
+export class Connection {
+  private socket: WebSocket | null = null;
+  private retryMs = FIRST_RETRY_MS;
+  private heardMs = 0;
+
+  constructor(private readonly listener: Listener) {}
+
+  start(): void {
+    this.open();
+    setInterval(() => this.dropIfSilent(), 1000);
+  }
+
+  private open(): void {
+    const address = new URL("/api/live", location.href);
+    address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+    const socket = new WebSocket(address);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    this.heardMs = performance.now();
+    socket.onmessage = (event) => this.receive(socket, event.data);
+    socket.onclose = () => this.lost(socket);
+  }
+
+  private receive(socket: WebSocket, data: unknown): void {
+    const now = performance.now();
+    this.heardMs = now;
+    if (data instanceof ArrayBuffer) {
+      const frame = decodeFrame(data);
+      const answer: FrameReceived = { type: "received", sequence: frame.sequence };
+      socket.send(JSON.stringify(answer));
+      this.listener.onFrame(frame, now);
+      return;
+    }
+    const message = JSON.parse(String(data)) as ServerMessage;
+    if (message.type === "hello") {
+      this.retryMs = FIRST_RETRY_MS;
+      this.listener.onConnected(true);
+    }
+    this.listener.onMessage(message, now);
+  }
+
+  private dropIfSilent(): void {
+    if (this.socket && performance.now() - this.heardMs > SILENT_AFTER_MS) this.lost(this.socket);
+  }
+
+  private lost(socket: WebSocket): void {
+    if (socket !== this.socket) return;
+    this.socket = null;
+    socket.onmessage = socket.onclose = null;
+    socket.close();
+    this.listener.onConnected(false);
+    setTimeout(() => this.open(), this.retryMs);
+    this.retryMs = Math.min(this.retryMs * 2, LONGEST_RETRY_MS);
+  }
+}

@@ -1,0 +1,44 @@
+import type { Problem, ProtocolInfo, Run, RunRequest, StopAnswer } from "../wire";
+
+const PATIENCE_MS = 5000;
+const STOP_PATIENCE_MS = 2000;
+
+/** The server said no, in words meant for the person. */
+export class Refused extends Error {}
+
+/** Nobody answered. */
+export class Unreachable extends Error {}
+
+export const getProtocols = (): Promise<ProtocolInfo[]> => ask("GET", "/api/protocols", PATIENCE_MS);
+
+export const startRun = (request: RunRequest): Promise<Run> => ask("POST", "/api/runs", PATIENCE_MS, request);
+
+export const sendStop = (): Promise<StopAnswer> => ask("POST", "/api/stop", STOP_PATIENCE_MS);
+
+async function ask<Answer>(method: string, path: string, patienceMs: number, body?: unknown): Promise<Answer> {
+  let response: Response;
+  try {
+    response = await fetch(path, {
+      method,
+      cache: "no-store",
+      signal: AbortSignal.timeout(patienceMs),
+      ...(body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } }),
+    });
+    if (response.ok) return (await response.json()) as Answer;
+  } catch (error) {
+    const timedOut = error instanceof DOMException && error.name === "TimeoutError";
+    throw new Unreachable(timedOut ? `no answer within ${patienceMs / 1000} s` : "the server cannot be reached");
+  }
+  throw new Refused(await inWords(response));
+}
+
+async function inWords(response: Response): Promise<string> {
+  const isProblem = response.headers.get("Content-Type")?.includes("problem+json");
+  const problem = isProblem ? ((await response.json().catch(() => null)) as Partial<Problem> | null) : null;
+  if (!problem) return `the server answered ${response.status} ${response.statusText}`.trim();
+  const detail = problem.detail || problem.title || `error ${response.status}`;
+  const fields = (problem.errors ?? [])
+    .filter(({ message }) => !message || !detail.includes(message))
+    .map((error) => Object.values(error).join(": "));
+  return [detail, ...fields].join(" · ");
+}

@@ -1,0 +1,24 @@
+import { byId, setText } from "./dom";
+
+const KEY = "graspwatch-theme";
+
+/** Dark unless the person or, where nothing was chosen, the system wants light. */
+export class Theme {
+  constructor(private readonly onChange: () => void) {
+    const chosen = localStorage.getItem(KEY);
+    this.apply(chosen ?? (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark"));
+    byId("theme").addEventListener("click", () => this.toggle());
+  }
+
+  toggle(): void {
+    const next = document.documentElement.dataset.theme === "light" ? "dark" : "light";
+    localStorage.setItem(KEY, next);
+    this.apply(next);
+    this.onChange();
+  }
+
+  private apply(theme: string): void {
+    document.documentElement.dataset.theme = theme;
+    setText(byId("theme-text"), theme === "light" ? "Dark" : "Light");
+  }
+}

@@ -1,0 +1,15 @@
+from pathlib import Path
+
+from app import wire_schema
+from app.wire import FRAME_HEADER
+
+COMMITTED = Path(wire_schema.__file__).parents[1] / "frontend" / "src" / "wire.schema.json"
+
+
+def test_the_dashboards_types_come_from_the_contract_as_it_is():
+    """If this fails: `make wire`, then build and commit."""
+    assert COMMITTED.read_text() == wire_schema.as_text()
+
+
+def test_the_frame_header_has_the_size_that_the_dashboard_decodes():
+    assert wire_schema.schema()["x-frame"]["header_bytes"] == FRAME_HEADER.size == 32
