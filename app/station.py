@@ -8,6 +8,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
 import zmq
 import zmq.asyncio
 
@@ -41,6 +42,7 @@ from estimator.blocks import blank_estimates, estimate_dtype
 from estimator.worker import ReceivedEstimates, unpack_estimates
 
 ANSWER_S = 0.5
+ANSWERS_KEPT = 400  # blocks: two seconds
 ESTIMATES_LATE_S = 0.1  # samples are shown without estimates when these take longer
 SILENCE_S = 0.25
 IDENTIFICATIONS_HZ = 10.0
@@ -69,6 +71,7 @@ class Station:
         history = int(plan.settings.server.history_s * plan.tool.board.sample_rate_hz)
         self._frames = FrameBuffer(history)
         self._waiting: deque[SampleBlock] = deque()  # samples whose estimates are still to come
+        self._answers: dict[int, np.ndarray] = {}  # estimates whose samples are still to come
         self._samples = bus.SequenceCounter()
         self._estimates = bus.SequenceCounter()
         self._last_sample_s = 0.0
@@ -176,6 +179,8 @@ class Station:
         if self.supervisor.workers["acquisition"].condition is Condition.STARTING:
             self.supervisor.workers["acquisition"].condition = Condition.RUNNING
             self.tell_state()
+        if self._samples.begins_anew(block.sequence):
+            self._answers.clear()
         self._samples.take(block.sequence)
         self._last_sample_s = now
         self._rate.append((now, len(block.samples)))
@@ -210,7 +215,9 @@ class Station:
         self._latency_ms = (received.published_ns - received.block.t_mono_ns) / 1e6
         self.metrics.estimate_latency.observe(self._latency_ms / 1e3)
         self.metrics.missing_blocks.labels("estimator").set(received.missing_blocks)
-        self._join(received)
+        self._answers[received.block.sequence] = received.block.estimates
+        self._answers.pop(received.block.sequence - ANSWERS_KEPT, None)
+        self._join()
         self._tell(received)
 
     def _on_notice(self, notice: dict[str, Any]) -> None:
@@ -233,18 +240,16 @@ class Station:
                 self._end_run(notice["run_id"], RunState(notice["end"]), notice["why"])
         self.tell_state()
 
-    def _join(self, received: ReceivedEstimates | None) -> None:
-        """Put samples and their estimates together; samples whose estimates are lost go without."""
-        sequence = received.block.sequence if received else -1
+    def _join(self) -> None:
+        """Put samples and their estimates together, whichever came first; samples go without when theirs are late."""
         while self._waiting:
             block = self._waiting[0]
-            late = time.monotonic_ns() - block.t_mono_ns > ESTIMATES_LATE_S * 1e9
-            if block.sequence == sequence and received:
-                estimates = received.block.estimates
-            elif late or (received and block.sequence < sequence):
+            estimates = self._answers.pop(block.sequence, None)
+            if estimates is None:
+                overtaken = bool(self._answers) and block.sequence < min(self._answers)
+                if not overtaken and time.monotonic_ns() - block.t_mono_ns < ESTIMATES_LATE_S * 1e9:
+                    return
                 estimates = blank_estimates(estimate_dtype(len(self._tissues)), block.samples["tick"])
-            else:
-                return
             self._waiting.popleft()
             columns = columns_of(block.samples, estimates, len(self._tissues))
             newest_ms = block.t_mono_ns / 1e6 + self._clock_offset_ms
@@ -309,7 +314,7 @@ class Station:
             due += period_s
             await asyncio.sleep(max(due - time.monotonic(), 0.0))
             due = max(due, time.monotonic() - period_s)
-            self._join(None)
+            self._join()
             for frame in self._frames.cut():
                 self.hub.broadcast_frame(frame)
             self.metrics.viewers.set(len(self.hub.viewers))

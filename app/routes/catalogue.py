@@ -37,7 +37,7 @@ async def tool(request: Request) -> ToolInfo:
 
 @router.get("/api/protocols")
 async def protocols(request: Request) -> list[ProtocolInfo]:
-    """The protocols, each with its waveform for a preview."""
+    """The protocols, the shortest first, each with its waveform for a preview."""
     in_use = station_of(request).plan.tool
     result = []
     for name in available("protocols"):
@@ -55,7 +55,7 @@ async def protocols(request: Request) -> list[ProtocolInfo]:
                 command_v=command[::thin].tolist(),
             )
         )
-    return result
+    return sorted(result, key=lambda protocol: (protocol.cycle_s, protocol.name))
 
 
 @router.get("/api/tissues")

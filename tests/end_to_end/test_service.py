@@ -82,6 +82,8 @@ def test_the_stream_is_gapless_at_1_khz(service):
         live = [(int(h[6]), c.shape[1]) for h, c in listener.frames if h[1] == 0]
         ends = [tick + rows for tick, rows in live]
         assert [tick for tick, _ in live[1:]] == ends[:-1]
+        thresholds = np.concatenate([c[column(listener, "threshold_n")] for h, c in listener.frames if h[1] == 0])
+        assert np.isfinite(thresholds).all()  # every sample came with its estimates
         hello = listener.of("hello")[0]
         assert hello["tool"]["kind"] == "simulated"
         assert [t["name"] for t in hello["tissues"]] == ["liver", "small_bowel", "bladder", "gallbladder"]
