@@ -70,7 +70,7 @@ class Station:
         self._tissues = list(plan.library.tissues)
         history = int(plan.settings.server.history_s * plan.tool.board.sample_rate_hz)
         self._frames = FrameBuffer(history)
-        self._waiting: deque[SampleBlock] = deque()  # samples whose estimates are still to come
+        self._waiting: deque[tuple[float, SampleBlock]] = deque()  # when it came, s; its estimates are still to come
         self._answers: dict[int, np.ndarray] = {}  # estimates whose samples are still to come
         self._samples = bus.SequenceCounter()
         self._estimates = bus.SequenceCounter()
@@ -188,7 +188,7 @@ class Station:
         self.metrics.samples.inc(len(block.samples))
         self._count_lost(block.lost_samples)
         self.metrics.missing_blocks.labels("server").set(self._samples.missing + self._estimates.missing)
-        self._waiting.append(block)
+        self._waiting.append((now, block))
 
     def _measure_lateness(self, block: SampleBlock) -> None:
         """Against the promptest block so far: the sample clock says when each could be read."""
@@ -243,11 +243,11 @@ class Station:
     def _join(self) -> None:
         """Put samples and their estimates together, whichever came first; samples go without when theirs are late."""
         while self._waiting:
-            block = self._waiting[0]
+            came_s, block = self._waiting[0]
             estimates = self._answers.pop(block.sequence, None)
             if estimates is None:
                 overtaken = bool(self._answers) and block.sequence < min(self._answers)
-                if not overtaken and time.monotonic_ns() - block.t_mono_ns < ESTIMATES_LATE_S * 1e9:
+                if not overtaken and time.monotonic() - came_s < ESTIMATES_LATE_S:
                     return
                 estimates = blank_estimates(estimate_dtype(len(self._tissues)), block.samples["tick"])
             self._waiting.popleft()
