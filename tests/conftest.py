@@ -2,12 +2,17 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from config.load import load_library, load_protocol, load_settings, load_tool
 from config.schema import Protocol, Settings, TissueLibrary, Tool
 
 CHECKOUT = Path(__file__).parents[1]
+
+# how long an example takes depends on who else uses the machine; speed is for the benchmarks
+hypothesis.settings.register_profile("unhurried", hypothesis.settings(), deadline=None)
+hypothesis.settings.load_profile("unhurried")
 
 
 @pytest.fixture(scope="session")
