@@ -16,6 +16,7 @@ class Flag(IntFlag):
     CONTACT_SENSED = 16  # a trusted touch sensor says so
     JAWS_SHUT = 32  # the force rises without motion: not tissue any more
     ENCODER_SLIPS = 64  # the encoder lags behind the cable's stretch or walks between grasps
+    FILTERED_INVALID = 128  # as INVALID, of the filtered signals alone
 
 
 SAMPLE = np.dtype(

@@ -72,7 +72,7 @@ def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSign
         metre_per_volt = geometry.l_jaw_m * jaw_cosine * angle_by_volt
 
         valid = (
-            (left > 0) & (np.abs(cosine) < 1) & (np.abs(crank) <= 1)
+            (left > 0) & (np.abs(cosine) < 1) & (np.abs(crank) <= 1) & (cosine_by_rod < 0)
             & (np.abs(theta_handle) < np.pi / 2) & (np.abs(theta_jaw) < np.pi / 2)
         )  # fmt: skip
     if not valid.all():

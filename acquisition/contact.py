@@ -34,6 +34,7 @@ class _Grasp:
     index: int
     start_tick: int
     encoder_zero_deg: float
+    known_tick: int  # first sample that is measured from this zero
     contact_tick: int = -1
     wall_tick: int = -1
     baseline_v: float = np.inf
@@ -59,7 +60,7 @@ class GraspTracker:
         self._on = 0
         self._off = 0
         self.in_grasp = False
-        self.grasp = _Grasp(index=0, start_tick=-1, encoder_zero_deg=0.0)
+        self.grasp = _Grasp(index=0, start_tick=-1, encoder_zero_deg=0.0, known_tick=0)
         self.walked = False
 
     def update(self, tick: int, command_v: float, strain_v: float, encoder_deg: float, touched: bool) -> int:
@@ -103,7 +104,7 @@ class GraspTracker:
         start -= 1
         walk = abs(encoder_zero - self.grasp.encoder_zero_deg)
         self.walked = self.grasp.index > 0 and walk > self._detection.walk_deg
-        self.grasp = _Grasp(self.grasp.index + 1, tick - start, encoder_zero, slips=self.walked)
+        self.grasp = _Grasp(self.grasp.index + 1, tick - start, encoder_zero, tick, slips=self.walked)
         self.in_grasp = True
 
     def _look_for_contact(self, tick: int, touched: bool) -> None:
@@ -111,14 +112,14 @@ class GraspTracker:
         if detection.touch_trusted:
             grasp.touching = grasp.touching + 1 if touched else 0
             if grasp.touching >= TOUCH_SAMPLES:
-                grasp.contact_tick = tick - TOUCH_SAMPLES + 1
+                grasp.contact_tick = max(tick - TOUCH_SAMPLES + 1, grasp.known_tick)
             return
         strain_v, _ = self._smoothed()
         grasp.baseline_v = min(grasp.baseline_v, strain_v)
         rises = self._recent[-1][1] > grasp.baseline_v + detection.force_rise_v
         grasp.rising = grasp.rising + 1 if rises else 0
         if grasp.rising >= detection.force_rise_samples:
-            grasp.contact_tick = max(tick - self._samples_since_onset(), grasp.start_tick)
+            grasp.contact_tick = max(tick - self._samples_since_onset(), grasp.known_tick)
 
     def _samples_since_onset(self) -> int:
         """How many of the last samples lie above half the rise that tells contact."""

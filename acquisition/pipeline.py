@@ -12,6 +12,7 @@ from config.schema import Calibration, Conditioning, Tool
 TARE_SAMPLES = 200
 TRACKED = ("grasp", "grasp_start_tick", "contact_tick", "wall_tick", "flags")
 NOTHING, INVALID, SATURATED = np.uint16(0), np.uint16(Flag.INVALID), np.uint16(Flag.SATURATED)
+FILTERED_INVALID = np.uint16(Flag.FILTERED_INVALID)
 KEPT_DISPLACEMENTS = BACKDATE_SAMPLES
 
 
@@ -35,16 +36,24 @@ class Tare:
     def measured(self) -> bool:
         return self._count > 0
 
-    def update(self, strain_v: np.ndarray, command_v: np.ndarray) -> None:
-        """Take a block; the tare is fixed once enough samples came or the command left zero."""
+    def update(self, strain_v: np.ndarray, command_v: np.ndarray) -> np.ndarray:
+        """Take a block; returns the rest voltage known at each of its samples.
+
+        The tare is fixed once enough samples came or the command left zero.
+        """
         if self._over:
-            return
+            return np.full(len(strain_v), self.rest_v)
         moving = np.flatnonzero(command_v > COMMAND_ON_V)
-        at_rest = strain_v[: moving[0] if len(moving) else None]
-        plausible = at_rest[np.abs(at_rest - self._nominal_v) <= self._tolerance_v]
-        self._sum_v += float(plausible.sum())
-        self._count += len(plausible)
+        plausible = np.abs(strain_v - self._nominal_v) <= self._tolerance_v
+        if len(moving):
+            plausible[moving[0] :] = False
+        counts = self._count + np.cumsum(plausible)
+        plausible &= counts <= TARE_SAMPLES
+        counts = self._count + np.cumsum(plausible)
+        sums = np.cumsum(np.concatenate([[self._sum_v], np.where(plausible, strain_v, 0.0)]))[1:]
+        self._sum_v, self._count = float(sums[-1]), int(counts[-1])
         self._over = len(moving) > 0 or self._count >= TARE_SAMPLES
+        return np.where(counts > 0, sums / np.maximum(counts, 1), self._nominal_v)
 
 
 class Pipeline:
@@ -64,33 +73,34 @@ class Pipeline:
     def process(self, raw: RawBlock) -> SampleBlock:
         """Calibrated, conditioned and segmented samples of one raw block."""
         n = len(raw)
-        self.tare.update(raw.strain_v, raw.motor_command_v)
+        rest_v = self.tare.update(raw.strain_v, raw.motor_command_v)
         samples = np.zeros(n, SAMPLE)
         samples["tick"] = raw.first_tick + np.arange(n)
         for name in ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v"):
             samples[name] = getattr(raw, name)
 
-        encoder_zero = self._segment(samples)
+        encoder_zero = self._segment(samples, rest_v)
         both = np.empty((2, 2, n))  # unfiltered and filtered; strain and encoder
         both[0, 0], both[0, 1] = raw.strain_v, raw.encoder_deg
         both[1] = self._low_pass(both[0])
-        strain_v, encoder_deg = both[:, 0] - self.tare.rest_v, both[:, 1] - encoder_zero
+        strain_v, encoder_deg = both[:, 0] - rest_v, both[:, 1] - encoder_zero
         jaw = to_jaw(self._tool, strain_v, encoder_deg)
         samples["jaw_force_n"], samples["jaw_force_filtered_n"] = jaw.force_n
         samples["jaw_displacement_m"], samples["jaw_displacement_filtered_m"] = jaw.displacement_m
         samples["newton_per_volt"], samples["metre_per_volt"] = jaw.newton_per_volt[0], jaw.metre_per_volt[0]
         samples["flags"] |= np.where(jaw.valid[0], NOTHING, INVALID)
+        samples["flags"] |= np.where(jaw.valid[1], NOTHING, FILTERED_INVALID)
         samples["flags"] |= np.where(np.abs(raw.strain_v) < self._saturated_v, NOTHING, SATURATED)
         samples["tissue_displacement_m"] = self._since_contact(samples)
 
         self._sequence += 1
         return SampleBlock(self._sequence, raw.t_mono_ns, raw.lost_samples, samples)
 
-    def _segment(self, samples: np.ndarray) -> np.ndarray:
+    def _segment(self, samples: np.ndarray, rest_v: np.ndarray) -> np.ndarray:
         """Follow the grasp sample by sample; returns the encoder's zero for each sample, degrees."""
         threshold_v = self._tool.contact.touch_threshold_v
         touched = ((samples["touch_1_v"] > threshold_v) | (samples["touch_2_v"] > threshold_v)).tolist()
-        strain_v = (samples["strain_v"] - self.tare.rest_v).tolist()
+        strain_v = (samples["strain_v"] - rest_v).tolist()
         command_v, encoder_deg = samples["motor_command_v"].tolist(), samples["encoder_deg"].tolist()
         first_tick = int(samples["tick"][0])
         rows = []
@@ -109,11 +119,12 @@ class Pipeline:
         displacement = np.concatenate([self._displacements, samples["jaw_displacement_m"]])
         self._displacements = displacement[-KEPT_DISPLACEMENTS:]
         held = samples["contact_tick"] >= 0
-        if not held.any():
-            return np.full(len(samples), np.nan)
-        first = int(np.argmax(held))
-        if samples["grasp"][first] != self._contact_of:
-            back = int(samples["tick"][first] - samples["contact_tick"][first])
-            self._contact_of = int(samples["grasp"][first])
-            self._contact_m = float(displacement[KEPT_DISPLACEMENTS + first - back])
-        return np.where(held, samples["jaw_displacement_m"] - self._contact_m, np.nan)
+        result = np.full(len(samples), np.nan)
+        for grasp in np.unique(samples["grasp"][held]):
+            own = held & (samples["grasp"] == grasp)
+            if grasp != self._contact_of:
+                first = int(np.argmax(own))
+                back = int(samples["tick"][first] - samples["contact_tick"][first])
+                self._contact_of, self._contact_m = grasp, float(displacement[KEPT_DISPLACEMENTS + first - back])
+            result[own] = samples["jaw_displacement_m"][own] - self._contact_m
+        return result

@@ -5,6 +5,8 @@ import numpy as np
 from config.errors import RefusedError
 from config.schema import CommandToForce, Custom, Protocol, Sine, Tool, Trapezoid
 
+SHORTEST_GRASP_SAMPLES = 20
+
 
 def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
     """One grasp and its rest as motor command at the tool's sample rate, V, shape (n,); begins and ends at 0.
@@ -14,6 +16,16 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
     """
     waveform = protocol.waveform
     rate_hz = tool.board.sample_rate_hz
+    if waveform.cycle_s > tool.limits.max_run_s:
+        raise RefusedError(
+            f"One cycle of {protocol.name!r} takes {waveform.cycle_s:.3g} s; the tool {tool.name!r} allows at most "
+            f"{tool.limits.max_run_s:.0f} s. Shorten it or choose another protocol."
+        )
+    if waveform.grasp_s * rate_hz < SHORTEST_GRASP_SAMPLES:
+        raise RefusedError(
+            f"A grasp of {protocol.name!r} takes {waveform.grasp_s:.3g} s, which is too short to be followed at "
+            f"{rate_hz:.0f} samples a second. Make it at least {SHORTEST_GRASP_SAMPLES / rate_hz:.3g} s."
+        )
     time_s = np.arange(round(waveform.cycle_s * rate_hz)) / rate_hz
     match waveform:
         case Trapezoid():

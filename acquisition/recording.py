@@ -31,7 +31,8 @@ def read_lvm(path: Path, tool: Tool) -> np.ndarray:
     lines = _read_lines(path)
     headings_at = _find_headings(path, lines)
     columns = _find_columns(path, lines[headings_at], headings_at + 1, tool)
-    body = [line for line in lines[headings_at + 1 :] if line.strip()]
+    rows = [(number, line) for number, line in enumerate(lines[headings_at + 1 :], headings_at + 2) if line.strip()]
+    body = [line for _, line in rows]
     if not body:
         raise RecordingError(f"{path}: holds no samples: line {headings_at + 2} should be the first one.")
     try:
@@ -40,7 +41,7 @@ def read_lvm(path: Path, tool: Tool) -> np.ndarray:
         raise RecordingError(_first_bad_line(path, lines, headings_at, columns)) from None
     if not np.isfinite(table).all():
         raise RecordingError(_first_bad_line(path, lines, headings_at, columns))
-    _check_time(path, table[:, 0], headings_at, tool.board.sample_rate_hz)
+    _check_time(path, table[:, 0], [number for number, _ in rows], tool.board.sample_rate_hz)
     return table
 
 
@@ -63,7 +64,20 @@ def _read_lines(path: Path) -> list[str]:
         raise RecordingError(f"{path}: cannot be read ({error.strerror}).") from None
     if not text.strip():
         raise RecordingError(f"{path}: is empty; expected a LabVIEW measurement file.")
-    return text.splitlines()
+    lines = text.splitlines()
+    if not text.endswith("\n") and _is_cut(lines):
+        raise RecordingError(
+            f"{path}, line {len(lines)}: the file is cut off in its last number. Copy it again, or delete the line."
+        )
+    return lines
+
+
+def _is_cut(lines: list[str]) -> bool:
+    """Whether the last line has all its columns but its last number fewer decimals than the one above."""
+    if len(lines) < 2:
+        return False
+    above, last = (line.strip().split("\t") for line in lines[-2:])
+    return len(last) == len(above) and len(last[-1].partition(".")[2]) < len(above[-1].partition(".")[2])
 
 
 def _find_headings(path: Path, lines: list[str]) -> int:
@@ -118,13 +132,13 @@ def _first_bad_line(path: Path, lines: list[str], headings_at: int, columns: lis
     return f"{path}: cannot be read as a table of numbers."
 
 
-def _check_time(path: Path, time_s: np.ndarray, headings_at: int, rate_hz: float) -> None:
+def _check_time(path: Path, time_s: np.ndarray, line_numbers: list[int], rate_hz: float) -> None:
     """Time must advance by whole samples; a forward jump is a gap (kept, counted), anything else is an error."""
     steps = np.diff(time_s) * rate_hz
     bad = np.flatnonzero((np.abs(steps - np.round(steps)) > 0.01) | (steps < 0.5))
     if len(bad):
         raise RecordingError(
-            f"{path}, line {headings_at + 3 + int(bad[0])}: time goes from {time_s[bad[0]]:.6f} to "
+            f"{path}, line {line_numbers[bad[0] + 1]}: time goes from {time_s[bad[0]]:.6f} to "
             f"{time_s[bad[0] + 1]:.6f} s; expected steps of {1 / rate_hz:g} s."
         )
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from app import __version__
 from config.errors import ConfigurationError, GraspwatchError
 from config.load import choose, load_library, load_protocol, load_settings, load_tool
-from config.schema import ToolKind
+from config.schema import Settings, Tool, ToolKind
 
 app = typer.Typer(
     name="graspwatch",
@@ -102,7 +102,7 @@ def run(
     duration_s = wanted.lead_in_s + count * wanted.waveform.cycle_s
     with _progress(f"{wanted.name} on {tissue}", duration_s) as progress:
         report = run_protocol(
-            load_tool("simulated"), profiles, settings, wanted, tissue,
+            _simulated_tool(settings), profiles, settings, wanted, tissue,
             cycles=count, seed=seed, real_time=real_time, progress=progress,
         )  # fmt: skip
     _print_reports([report.document()], as_json)
@@ -150,6 +150,12 @@ def replay(
         with _progress(path.name, 1.0) as progress:
             documents.append(replay_recording(path, rig, profiles, settings, speed=speed, progress=progress).document())
     _print_reports(documents, as_json)
+
+
+def _simulated_tool(settings: Settings) -> Tool:
+    """The tool that the settings name if it is a simulated one, else the shipped simulated one."""
+    named = load_tool(settings.tool)
+    return named if named.kind is ToolKind.SIMULATED else load_tool("simulated")
 
 
 def _serve(plan: Any, host: str | None, port: int | None) -> None:
@@ -202,7 +208,10 @@ def _table(document: dict[str, Any]) -> Table:
         f"{document['source']}: {document['samples']} samples in {document['duration_s']:.1f} s, "
         f"{document['lost_samples']} lost; library {document['library']}"
     )
-    table = Table("Grasp", "Start", "Tissue", "Probability", "Decided after", "Peak force", "Remark", title=title)
+    table = Table(title=title)
+    for heading in ("Grasp", "Start", "Tissue", "Prob.", "Decided", "Peak"):
+        table.add_column(heading, no_wrap=True)
+    table.add_column("Remark")
     for grasp in document["grasps"]:
         probability, decided, peak = grasp["probability"], grasp["time_to_decision_s"], grasp["peak_force_n"]
         table.add_row(

@@ -134,7 +134,6 @@ def test_the_domain_ends_at_about_minus_3_8_degrees_of_the_handle(handle_deg: fl
     assert jaw(0.0, handle_deg * 188 / 18).valid[0] == valid
 
 
-@pytest.mark.xfail(strict=True, reason="beyond its dead centre the linkage is still called valid, the way back empty")
 def test_wherever_it_is_valid_a_closing_handle_closes_the_jaws() -> None:
     encoder_deg = np.arange(-60.0, 1000.0, 0.5)
     signals = to_jaw(TOOL, np.zeros_like(encoder_deg), encoder_deg)

@@ -63,7 +63,6 @@ def test_between_grasps_an_encoder_that_walked_out_of_range_does_not() -> None:
     assert why_stop(LIMITS, block([np.nan] * 5, Flag.INVALID)) is None
 
 
-@pytest.mark.xfail(strict=True, reason="one NaN makes the mean NaN, and nothing but a whole block of them stops")
 def test_a_bad_sample_does_not_hide_a_force_over_the_ceiling() -> None:
     bad = Flag.IN_GRASP | Flag.INVALID
     assert why_stop(LIMITS, block([50.0, 50.0, np.nan, 50.0, 50.0], [Flag.IN_GRASP] * 2 + [bad] + [Flag.IN_GRASP] * 2))

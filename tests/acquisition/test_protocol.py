@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition.protocol import ProtocolPlayer, command_cycle
-from config.errors import RefusedError
+from config.errors import GraspwatchError, RefusedError
 from config.load import available, load_protocol, load_tool
 from config.schema import Custom, Protocol, Sine, Trapezoid
 
@@ -64,7 +64,7 @@ def test_the_sine_is_a_force_of_2_newton_first_at_2_then_at_4_hz_for_10_s() -> N
 
 @given(st.data())
 def test_a_custom_waveform_goes_straight_from_point_to_point(data: st.DataObject) -> None:
-    steps_ms = data.draw(st.lists(st.integers(1, 300), min_size=2, max_size=8))
+    steps_ms = data.draw(st.lists(st.integers(1, 300), min_size=2, max_size=8).filter(lambda steps: sum(steps) >= 20))
     times_ms = [0, *np.cumsum(steps_ms).tolist()]
     inner = st.lists(st.floats(0, 3.5), min_size=len(steps_ms) - 1, max_size=len(steps_ms) - 1)
     volts = [0.0, *data.draw(inner), 0.0]
@@ -112,15 +112,13 @@ def test_a_run_longer_than_the_tool_may_run_is_refused() -> None:
     assert not ProtocolPlayer(trapezoid(1.0), TOOL, cycles - 1).done
 
 
-@pytest.mark.xfail(strict=True, raises=MemoryError, reason="the whole cycle is computed before its length is judged")
 def test_a_rest_of_30_000_years_is_refused_as_too_long() -> None:
-    with pytest.raises(RefusedError):
+    with pytest.raises(GraspwatchError):
         ProtocolPlayer(trapezoid(1.0, rest_s=1e12), TOOL, 1)
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="a cycle shorter than a sample is an empty array")
 def test_a_cycle_shorter_than_a_sample_is_refused() -> None:
-    with pytest.raises(RefusedError):
+    with pytest.raises(GraspwatchError):
         ProtocolPlayer(trapezoid(1.0, up_s=1e-6, hold_s=0.0, down_s=1e-6, rest_s=1e-6), TOOL, 1)
 
 

@@ -144,12 +144,18 @@ GZIP_HEADER = 10  # bytes, of which time and system mean nothing
 
 @settings(max_examples=50)
 @given(at=st.integers(GZIP_HEADER, len(PACKED) - 1), wrong=st.integers(1, 255))
-def test_a_compressed_file_with_a_wrong_byte_is_told(
+def test_a_wrong_byte_in_a_compressed_file_is_told_and_never_gives_other_numbers(
     tmp_path_factory: pytest.TempPathFactory, at: int, wrong: int
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "wrong.lvm.gz"
     path.write_bytes(PACKED[:at] + bytes([PACKED[at] ^ wrong]) + PACKED[at + 1 :])
-    assert fault_of(path).endswith("Copy it again.")
+    try:
+        table = read_lvm(path, RIG)
+    except RecordingError as error:
+        assert str(error).startswith(str(path))
+        assert str(error).endswith("Copy it again.")
+    else:  # the same text can be packed in two ways that differ by one byte
+        np.testing.assert_array_equal(table[:, 1], np.loadtxt(LINES[FIRST - 1 :], usecols=1))
 
 
 def test_a_file_that_only_calls_itself_compressed_is_told(tmp_path: Path) -> None:
@@ -157,9 +163,7 @@ def test_a_file_that_only_calls_itself_compressed_is_told(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("pack", [bytes, gzip.compress])
-def test_a_binary_file_is_told_with_the_line_where_it_is_binary(
-    tmp_path: Path, pack: Callable[[bytes], bytes]
-) -> None:
+def test_a_binary_file_is_told_with_the_line_where_it_is_binary(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
     content = TEXT.encode().split(b"\n")
     content[FIRST + 9] = b"0.010000\t\xff\xfe\x80"
     path = tmp_path / ("r.lvm" if pack is bytes else "r.lvm.gz")
@@ -195,7 +199,6 @@ def test_a_file_cut_off_in_the_midst_of_a_line_is_told_with_that_line(tmp_path: 
     assert told.startswith(f", line {last}: expected 6 columns, found {columns}; the file may be cut off")
 
 
-@pytest.mark.xfail(strict=True, raises=pytest.fail.Exception, reason="half of the last number passes for the number")
 def test_a_file_cut_off_in_its_very_last_number_is_told(tmp_path: Path) -> None:
     last = FIRST + 500
     assert f", line {last}: " in fault_of(cut_off(tmp_path / "r.lvm", last, len(LINES[last - 1]) - 4))
@@ -228,7 +231,6 @@ def test_time_that_runs_backwards_stands_still_or_stumbles_is_told_with_its_line
     assert told.startswith(f", line {FIRST + 7}: time goes from 0.006000 to {time_s} s; expected steps of 0.001 s")
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="blank lines are not counted on the way to a wrong time")
 def test_blank_lines_do_not_shift_the_line_that_is_told(tmp_path: Path) -> None:
     body = [*LINES[: FIRST + 1], "", "", *LINES[FIRST + 1 : FIRST + 5], LINES[FIRST - 1]]
     assert f", line {len(body)}: time goes" in fault_of(written(tmp_path / "r.lvm", "\n".join(body) + "\n"))
