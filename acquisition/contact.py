@@ -152,10 +152,7 @@ class GraspTracker:
             grasp.wall_tick = first.tick
 
     def _smoothed(self) -> tuple[float, float]:
-        """Means of the last few strain and encoder samples."""
-        n = min(len(self._recent), SMOOTH_SAMPLES)
-        strain = encoder = 0.0
-        for k in range(-n, 0):
-            strain += self._recent[k][1]
-            encoder += self._recent[k][2]
-        return strain / n, encoder / n
+        """Medians of the last few strain and encoder samples: single-sample spikes do not count."""
+        last = list(self._recent)[-SMOOTH_SAMPLES:]
+        middle = len(last) // 2
+        return sorted(strain for _, strain, _ in last)[middle], sorted(encoder for _, _, encoder in last)[middle]

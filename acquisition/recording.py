@@ -1,5 +1,6 @@
 """Recordings of the lab's LabVIEW program (`.lvm`, `.lvm.gz`) as a source of raw blocks."""
 
+import contextlib
 import gzip
 import io
 import time
@@ -36,7 +37,7 @@ def read_lvm(path: Path, tool: Tool) -> np.ndarray:
     if not body:
         raise RecordingError(f"{path}: holds no samples: line {headings_at + 2} should be the first one.")
     try:
-        table = np.loadtxt(io.StringIO("\n".join(body)), delimiter="\t", usecols=columns, ndmin=2)
+        table = np.loadtxt(io.StringIO("\n".join(body)), delimiter="\t", usecols=columns, ndmin=2, comments=None)
     except ValueError:
         raise RecordingError(_first_bad_line(path, lines, headings_at, columns)) from None
     if not np.isfinite(table).all():
@@ -50,16 +51,13 @@ def _read_lines(path: Path) -> list[str]:
         content = path.read_bytes()
         if path.suffix == ".gz":
             content = gzip.decompress(content)
-        text = content.decode("utf-8")
+        text = _decode(path, content)
     except FileNotFoundError:
         raise RecordingError(f"{path}: there is no such file. Check the path.") from None
     except EOFError:
         raise RecordingError(f"{path}: the compressed file is cut off before its end. Copy it again.") from None
     except (gzip.BadGzipFile, zlib.error) as error:
         raise RecordingError(f"{path}: is not a sound gzip file ({error}). Copy it again.") from None
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise RecordingError(f"{path}, line {line}: is binary; expected a LabVIEW measurement file (text).") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror}).") from None
     if not text.strip():
@@ -70,6 +68,18 @@ def _read_lines(path: Path) -> list[str]:
             f"{path}, line {len(lines)}: the file is cut off in its last number. Copy it again, or delete the line."
         )
     return lines
+
+
+def _decode(path: Path, content: bytes) -> str:
+    """Text in UTF-8, or as LabVIEW on Windows writes it."""
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        if b"\0" not in content:
+            with contextlib.suppress(UnicodeDecodeError):
+                return content.decode("cp1252")
+        line = content[: error.start].count(b"\n") + 1
+        raise RecordingError(f"{path}, line {line}: is binary; expected a LabVIEW measurement file (text).") from None
 
 
 def _is_cut(lines: list[str]) -> bool:
@@ -135,6 +145,12 @@ def _first_bad_line(path: Path, lines: list[str], headings_at: int, columns: lis
 def _check_time(path: Path, time_s: np.ndarray, line_numbers: list[int], rate_hz: float) -> None:
     """Time must advance by whole samples; a forward jump is a gap (kept, counted), anything else is an error."""
     steps = np.diff(time_s) * rate_hz
+    usual = float(np.median(steps)) if len(steps) else 1.0
+    if usual > 1.5:
+        raise RecordingError(
+            f"{path}, line {line_numbers[0]}: recorded at {rate_hz / usual:.0f} samples a second; the tool file says "
+            f"{rate_hz:.0f}. Name the tool file that belongs to it with --tool."
+        )
     bad = np.flatnonzero((np.abs(steps - np.round(steps)) > 0.01) | (steps < 0.5))
     if len(bad):
         raise RecordingError(

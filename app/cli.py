@@ -93,11 +93,12 @@ def run(
 
     Example: graspwatch run trapezoid_2hz --tissue liver --cycles 5
     """
-    from app.headless import run_protocol
-
     settings = load_settings(config)
     profiles, wanted = load_library(library or settings.library), load_protocol(protocol)
     choose(tissue, list(profiles.tissues), "tissue")
+
+    from app.headless import run_protocol  # takes a second: not before the request is known to be sound
+
     count = cycles or wanted.cycles
     duration_s = wanted.lead_in_s + count * wanted.waveform.cycle_s
     with _progress(f"{wanted.name} on {tissue}", duration_s) as progress:
@@ -110,7 +111,7 @@ def run(
 
 @app.command()
 def replay(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="LabVIEW recordings: .lvm or .lvm.gz.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="LabVIEW recordings: .lvm or .lvm.gz.")],
     library: LibraryOption = None,
     tool: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Tool file with the recording's channels and calibration.")
@@ -132,16 +133,18 @@ def replay(
     Example: graspwatch replay liver4Hz1.lvm.gz --json
     """
     from acquisition.recording import read_lvm
-    from app.headless import replay_recording
-    from app.plan import ServicePlan
 
     settings = load_settings(config)
     profiles, rig = load_library(library or settings.library), load_tool(tool)
+    for path in files:
+        read_lvm(path, rig)
+
+    from app.headless import replay_recording  # takes a second: not before the files are known to be sound
+    from app.plan import ServicePlan
+
     if serve_it:
         if as_json:
             raise ConfigurationError("--serve shows the recording in the dashboard; leave --json out.")
-        for path in files:
-            read_lvm(path, rig)
         plan = ServicePlan(rig, profiles, settings, next(iter(profiles.tissues)), 0, tuple(files), speed or 1.0)
         _serve(plan, host, port)
         return

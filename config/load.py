@@ -13,6 +13,8 @@ from config.schema import Protocol, Settings, TissueLibrary, Tool
 
 CONFIG_DIR = Path(__file__).parent
 
+WAVEFORM_SHAPES = ("trapezoid", "sine", "custom")  # pydantic puts them into the place of a fault; the file does not
+
 M = TypeVar("M", bound=BaseModel)
 
 
@@ -86,11 +88,13 @@ def describe_faults(where: str, error: ValidationError, model: type[BaseModel]) 
 
 
 def _describe_fault(fault: Any, model: type[BaseModel]) -> str:
-    place = ".".join(str(part) for part in fault["loc"]) or "(whole file)"
+    keys = sorted(_all_keys(model.model_json_schema()))
+    *outer, last = fault["loc"] or ("(whole file)",)
+    named = [part for part in outer if part not in WAVEFORM_SHAPES]
+    place = ".".join(str(part) for part in [*named, last])
     if fault["type"] != "extra_forbidden":
         given = "" if fault["type"] == "missing" else f" (found {_shorten(fault['input'])})"
         return f"{place}: {fault['msg']}{given}"
-    keys = sorted(_all_keys(model.model_json_schema()))
     close = difflib.get_close_matches(str(fault["loc"][-1]), keys, n=1, cutoff=0.5)
     return f"{place}: unknown key" + (f"; did you mean {close[0]!r}? Units stand in the names." if close else "")
 

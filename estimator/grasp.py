@@ -113,8 +113,6 @@ class GraspEstimation:
             return "no contact with tissue was found"
         if self.lost_samples > LOST_ALLOWED:
             return f"{self.lost_samples} samples are missing"
-        if not self._taken or self.best < 0:
-            return "no filter has a valid estimate"
         return None
 
     @property

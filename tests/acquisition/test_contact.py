@@ -11,7 +11,7 @@ from config.load import load_tool
 from config.schema import ContactDetection
 
 SENSED = load_tool("simulated").contact
-UNSENSED = load_tool("nidaq").contact
+UNSENSED = load_tool("simulated").contact.model_copy(update={"touch_trusted": False})
 RIG = load_tool("smart_tool_2013").contact
 STRETCH_DEG_PER_V = 52.189  # Eq. (3)
 READBACK_NOISE_V = 0.0013  # largest at rest in the recordings, but for spikes of 17 mV

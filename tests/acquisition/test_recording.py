@@ -165,7 +165,7 @@ def test_a_file_that_only_calls_itself_compressed_is_told(tmp_path: Path) -> Non
 @pytest.mark.parametrize("pack", [bytes, gzip.compress])
 def test_a_binary_file_is_told_with_the_line_where_it_is_binary(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
     content = TEXT.encode().split(b"\n")
-    content[FIRST + 9] = b"0.010000\t\xff\xfe\x80"
+    content[FIRST + 9] = b"0.010000\t\xff\x00\x80"
     path = tmp_path / ("r.lvm" if pack is bytes else "r.lvm.gz")
     path.write_bytes(pack(b"\n".join(content)))
     assert f", line {FIRST + 10}: is binary" in fault_of(path)
