@@ -326,7 +326,7 @@ class Identification(Model):
     """When a tissue is named, and what is believed before any data."""
 
     decide_at: Probability = 0.7
-    withdraw_below: Probability = 0.5
+    withdraw_below: Probability = 0.6
     confirm_s: NonNegative = 0.03
     prior_unknown: Probability = 0.02
     unknown_spread_log: Positive = 2.5

@@ -27,6 +27,8 @@ FORCE_NOISE_SD_N = 0.005  # friction and the force's path between two samples
 DISPLACEMENT_FLOOR_SD_M = 2e-6  # encoder count (1 µm) and its rounding
 LOG_WALK_SD = np.array([2e-4, 2e-4, 1e-3])  # a sample: tissue drifts slowly under load
 LOG_RANGE = 7.0  # a parameter further than a factor 1,100 from its guess has run away
+NIS_SURPRISING = 16.0  # four standard deviations: the linearisation has misled the filter, so it gets less sure
+WIDENING_MOST = 4.0  # times the covariance, in one sample
 NIS_MEMORY = 0.95  # of the running mean of the normalised innovation squared
 NIS_DIVERGED = 50.0
 
@@ -222,17 +224,37 @@ def update(mean, cov, displacement_m, metre_per_volt, displacement_var, gain):
     Returns the innovation, m, and its variance, m². `gain` (7,) is scratch space.
     """
     innovation = displacement_m - mean[X] - mean[OFFSET] - metre_per_volt * mean[STRAIN]
+    variance = project(cov, metre_per_volt, gain) + displacement_var
+    believed = variance
+    surprise = innovation * innovation / variance / NIS_SURPRISING
+    if surprise > 1.0:
+        widen(cov, min(surprise, WIDENING_MOST))
+        believed = project(cov, metre_per_volt, gain) + displacement_var
     for j in range(STATES):
-        gain[j] = cov[j, X] + cov[j, OFFSET] + metre_per_volt * cov[j, STRAIN]
-    variance = gain[X] + gain[OFFSET] + metre_per_volt * gain[STRAIN] + displacement_var
-    for j in range(STATES):
-        mean[j] += gain[j] * innovation / variance
+        mean[j] += gain[j] * innovation / believed
     for j in range(STATES):
         for q in range(j + 1):
-            value = cov[j, q] - gain[j] * gain[q] / variance
+            value = cov[j, q] - gain[j] * gain[q] / believed
             cov[j, q] = value
             cov[q, j] = value
     return innovation, variance
+
+
+@njit(cache=True)
+def project(cov, metre_per_volt, gain):
+    """P Hᵀ into `gain` (7,); returns H P Hᵀ, m²."""
+    for j in range(STATES):
+        gain[j] = cov[j, X] + cov[j, OFFSET] + metre_per_volt * cov[j, STRAIN]
+    return gain[X] + gain[OFFSET] + metre_per_volt * gain[STRAIN]
+
+
+@njit(cache=True)
+def widen(cov, factor):
+    """Be less sure of everything but the strain noise by `factor`, in place."""
+    root = math.sqrt(factor)
+    for j in range(STATES):
+        for q in range(STATES):
+            cov[j, q] *= (1.0 if j == STRAIN else root) * (1.0 if q == STRAIN else root)
 
 
 @njit(cache=True)

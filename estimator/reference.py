@@ -15,9 +15,11 @@ from estimator.bank import (
     LOG_BETA,
     LOG_DAMPING,
     LOG_WALK_SD,
+    NIS_SURPRISING,
     OFFSET,
     STATES,
     STRAIN,
+    WIDENING_MOST,
     Bank,
     V,
     X,
@@ -75,8 +77,14 @@ class ReferenceFilter(ExtendedKalmanFilter):
         """Measurement update, and its log-likelihood."""
         row = np.zeros((1, STATES))
         row[0, X], row[0, OFFSET], row[0, STRAIN] = 1.0, 1.0, metre_per_volt
+        plain_variance = float((row @ self.P @ row.T + self.R)[0, 0])
+        surprise = (displacement_m - float((row @ self.x)[0, 0])) ** 2 / plain_variance
+        if surprise > NIS_SURPRISING:
+            wider = np.sqrt(min(surprise / NIS_SURPRISING, WIDENING_MOST)) * np.ones(STATES)
+            wider[STRAIN] = 1.0
+            self.P = self.P * np.outer(wider, wider)
         self.update(np.array([[displacement_m]]), HJacobian=lambda _: row, Hx=lambda state: row @ state)
-        innovation, variance = float(self.y[0, 0]), float(self.S[0, 0])
+        innovation, variance = float(self.y[0, 0]), plain_variance
         self.log_likelihood_sum -= 0.5 * (innovation**2 / variance + np.log(2 * np.pi * variance))
 
 

@@ -16,6 +16,7 @@ IN_GRASP, CONTACT, INVALID, ENCODER_SLIPS = (
     Flag.IN_GRASP.value, Flag.CONTACT.value, Flag.INVALID.value, Flag.ENCODER_SLIPS.value,
 )  # fmt: skip
 STEP_SAMPLES = 5  # probabilities are renewed at ticks that are multiples of this, however samples are cut into blocks
+PLAUSIBLE = 0.05  # a tissue at least this probable keeps its threshold in force
 CRITERIA_EVERY = 20  # steps between two evaluations of the paper's criteria for the live view
 
 
@@ -131,10 +132,16 @@ class EstimationSession:
                 alarms.append(alarm)
 
     def _threshold(self, label: str) -> tuple[float, str | None]:
-        """Injury threshold in force, N, and whose it is; the lowest of the library (None) while no tissue is named."""
-        if self._in_grasp and label in self._thresholds:
-            return self._thresholds[label], label
-        return self._lowest_n, None
+        """Injury threshold in force, N, and whose it is; the lowest of the library (None) while no tissue is named.
+
+        A named tissue's threshold counts only as far as no other tissue with a lower one is still plausible.
+        """
+        if not (self._in_grasp and self._grasp and label in self._thresholds):
+            return self._lowest_n, None
+        likely = zip(self._thresholds, self._grasp.probabilities[:-1], strict=True)
+        plausible = [name for name, probability in likely if name == label or probability >= PLAUSIBLE]
+        tissue = min(plausible, key=self._thresholds.__getitem__)
+        return self._thresholds[tissue], tissue
 
     def _identification(self, samples: np.ndarray) -> Identification:
         grasp, last = self._grasp, samples[-1]
