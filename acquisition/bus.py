@@ -80,11 +80,14 @@ class SequenceCounter:
         """True if the sender was restarted: its blocks are counted from the beginning again."""
         return self._last is not None and sequence <= self._last
 
-    def take(self, sequence: int) -> None:
-        """Count the blocks missing between the last one and this one."""
+    def take(self, sequence: int) -> int:
+        """Count and return the blocks missing between the last one and this one."""
+        missing = 0
         if self._last is not None and not self.begins_anew(sequence):
-            self.missing += sequence - self._last - 1
+            missing = sequence - self._last - 1
         self._last = sequence
+        self.missing += missing
+        return missing
 
 
 # --- commands --------------------------------------------------------------------------------------------------------
@@ -92,12 +95,13 @@ class SequenceCounter:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Begin a run of a protocol (its JSON); `tissue` for the simulated tool."""
+    """Begin a run of a protocol (its JSON); `tissue` for the simulated tool. Obeyed only before its deadline."""
 
     run_id: str
     protocol: str
     cycles: int
-    tissue: str | None = None
+    tissue: str | None
+    deadline_ns: int
 
 
 @dataclass(frozen=True, slots=True)

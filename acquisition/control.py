@@ -11,6 +11,9 @@ from acquisition.source import Source
 from config.errors import RefusedError
 from config.schema import Conditioning, Protocol, Tool
 
+ASTRAY_V = 0.25
+ASTRAY_BLOCKS = 20  # 100 ms: a reader that lags behind the board sees its commands late
+
 
 class RunEnd(StrEnum):
     """How a run ended."""
@@ -38,14 +41,11 @@ class Acquisition:
         self._run_id = ""
         self._ended: list[RunEnded] = []
         self._command_v = 0.0
+        self._astray = 0  # blocks in a row whose command was read back wrong
 
     @property
     def running(self) -> bool:
         return self._player is not None
-
-    @property
-    def tared(self) -> bool:
-        return self._pipeline.tare.measured
 
     def start(self, run_id: str, protocol: Protocol, cycles: int) -> None:
         """Begin a run: the strain gage is tared during the protocol's lead-in.
@@ -79,7 +79,7 @@ class Acquisition:
             return None
         block = self._pipeline.process(raw)
         if self._player is not None:
-            why = why_stop(self._tool.limits, block.samples)
+            why = why_stop(self._tool.limits, block.samples) or self._why_not_move(block)
             if why:
                 self.stop(RunEnd.FAILED, why)
             elif self._player.done:
@@ -87,6 +87,21 @@ class Acquisition:
             else:
                 self._write(self._player.advance(len(raw)))
         return block
+
+    def _why_not_move(self, block: SampleBlock) -> str | None:
+        """What forbids the motor to start or to go on: no tare, or a command that does not arrive."""
+        tare, calibration = self._pipeline.tare, self._tool.calibration
+        if self._player and not self._player.at_rest and not tare.measured:
+            seen_v = float(block.samples["strain_v"].mean())
+            return (
+                f"the strain gage rests at {seen_v:.3f} V, the tool file expects {calibration.rest_offset_v:.3f} V "
+                f"within {calibration.rest_tolerance_v:.3f} V: it was not tared"
+            )
+        off_v = abs(float(block.samples["motor_command_v"][-1]) - self._command_v)
+        self._astray = self._astray + 1 if off_v > ASTRAY_V else 0
+        if self._astray >= ASTRAY_BLOCKS:
+            return f"the motor command of {self._command_v:.2f} V is read back {off_v:.2f} V off: check its wiring"
+        return None
 
     def _write(self, command_v: float) -> None:
         if command_v != self._command_v or command_v == 0.0:

@@ -10,6 +10,7 @@ from acquisition.source import RawBlock
 from config.schema import Calibration, Conditioning, Tool
 
 TARE_SAMPLES = 200
+TARE_LEAST = 50  # fewer are no tare that a motor may move on
 TRACKED = ("grasp", "grasp_start_tick", "contact_tick", "wall_tick", "flags")
 NOTHING, INVALID, SATURATED = np.uint16(0), np.uint16(Flag.INVALID), np.uint16(Flag.SATURATED)
 FILTERED_INVALID = np.uint16(Flag.FILTERED_INVALID)
@@ -34,7 +35,7 @@ class Tare:
 
     @property
     def measured(self) -> bool:
-        return self._count > 0
+        return self._count >= TARE_LEAST
 
     def update(self, strain_v: np.ndarray, command_v: np.ndarray) -> np.ndarray:
         """Take a block; returns the rest voltage known at each of its samples.

@@ -62,10 +62,16 @@ class ProtocolPlayer:
         if duration_s > tool.limits.max_run_s:
             raise RefusedError(
                 f"{cycles} cycles of {protocol.name!r} take {duration_s:.0f} s; the tool {tool.name!r} allows at most "
-                f"{tool.limits.max_run_s:.0f} s. Ask for fewer cycles."
+                f"{tool.limits.max_run_s:.0f} s. Ask for fewer cycles.",
+                field="cycles",
             )
         self._cycle, self._lead_in, self._cycles = cycle, lead_in, cycles
         self._at = 0
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the lead-in is still going on."""
+        return self._at < self._lead_in
 
     @property
     def done(self) -> bool:

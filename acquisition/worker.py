@@ -1,6 +1,7 @@
 """The acquisition worker: a process that owns the tool, conditions its samples and commands its motor."""
 
-from dataclasses import dataclass
+import time
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import zmq
@@ -70,30 +71,30 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
         calm_garbage_collector()
         realtime = ask_for_realtime(REALTIME_PRIORITY)
         publisher.send_multipart(bus.pack_notice("acquiring", realtime=realtime))
-        try:
-            while not stop.set:
-                block = acquisition.turn()
-                if block is None:
-                    return
-                publisher.send_multipart(bus.pack_samples(block))
-                for ended in acquisition.take_ended():
-                    publisher.send_multipart(
-                        bus.pack_notice("run_ended", run_id=ended.run_id, end=ended.end.value, why=ended.why)
-                    )
-                if commands.poll(0):
-                    command = bus.unpack_command(commands.recv())
-                    if isinstance(command, bus.Start) and command.tissue and grasper:
-                        grasper.hold(command.tissue)
-                    commands.send(bus.pack_answer(_obey(command, acquisition)))
-        finally:
-            if acquisition.running:
-                acquisition.stop(RunEnd.STOPPED, "the service was ended")
+        while not stop.set and (block := acquisition.turn()) is not None:
+            publisher.send_multipart(bus.pack_samples(block))
+            _tell_ended(acquisition, publisher)
+            if commands.poll(0):
+                command = bus.unpack_command(commands.recv())
+                answer = _obey(command, acquisition)
+                if isinstance(command, bus.Start) and command.tissue and grasper and not answer.refused:
+                    grasper.hold(command.tissue)
+                commands.send(bus.pack_answer(answer))
+        acquisition.stop(RunEnd.STOPPED, "the service was ended")
+        _tell_ended(acquisition, publisher)
+
+
+def _tell_ended(acquisition: Acquisition, publisher: zmq.Socket) -> None:
+    for ended in acquisition.take_ended():
+        publisher.send_multipart(bus.pack_notice("run_ended", **asdict(ended)))
 
 
 def _obey(command: bus.Command, acquisition: Acquisition) -> bus.Answer:
     try:
         match command:
             case bus.Start():
+                if time.monotonic_ns() > command.deadline_ns:
+                    return bus.Answer(refused="The request to start came too late and was not obeyed. Try again.")
                 protocol = Protocol.model_validate_json(command.protocol)
                 acquisition.start(command.run_id, protocol, command.cycles)
                 return bus.Answer()

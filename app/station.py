@@ -2,10 +2,10 @@
 
 import asyncio
 import contextlib
+import logging
 import time
 from collections import deque
 from dataclasses import asdict
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,12 @@ import zmq.asyncio
 from acquisition import bus
 from acquisition.blocks import SampleBlock
 from app import __version__
-from app.alarms import AlarmBook
+from app.alarms import FORCE, AlarmBook
 from app.frames import FrameBuffer, channels, columns_of
 from app.live import Hub
 from app.metrics import Metrics
 from app.plan import ServicePlan
+from app.runs import RunBook
 from app.supervisor import Condition, Supervisor
 from app.wire import (
     EventMessage,
@@ -44,12 +45,18 @@ from estimator.worker import ReceivedEstimates, unpack_estimates
 ANSWER_S = 0.5
 ANSWERS_KEPT = 400  # blocks: two seconds
 ESTIMATES_LATE_S = 0.1  # samples are shown without estimates when these take longer
+CLOCK_DRIFT_S = 5e-7  # a block: 100 ppm between the board's clock and the computer's
+HUNG_S = 2.0  # a worker silent for longer is killed and replaced
 SILENCE_S = 0.25
 IDENTIFICATIONS_HZ = 10.0
 
 
+CLOCK_OFFSET_MS = time.time() * 1e3 - time.monotonic() * 1e3
+
+
 def now_ms() -> float:
-    return time.time() * 1e3
+    """Milliseconds since 1970 on a clock that is never stepped."""
+    return time.monotonic() * 1e3 + CLOCK_OFFSET_MS
 
 
 class Station:
@@ -61,9 +68,9 @@ class Station:
         self.hub = Hub(plan.settings.server.chart_window_frames)
         self.alarms = AlarmBook(self.hub.broadcast)
         self.supervisor = Supervisor(plan, self._on_death)
-        self.runs: dict[str, Run] = {}
-        self.grasps: dict[str, list[Grasp]] = {}
-        self.current: Run | None = None
+        self.runs = RunBook()
+        self.demonstrating = plan.demo
+        self.internal_error: str | None = None
         self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED and not plan.recordings else None
         self._context = zmq.asyncio.Context()
         self._tasks: list[asyncio.Task[None]] = []
@@ -83,18 +90,36 @@ class Station:
         self._identification: Identification | None = None
         self._told_s = 0.0
         self._recording_ended = False
-        self._clock_offset_ms = now_ms() - time.monotonic() * 1e3
+        self._sampling = False
+        self._last_tick = -1
+        self._fault_texts: dict[str, str] = {}
+        self._watch_from_s = 0.0
         self.estimator_ready = asyncio.Event()
 
     # --- life --------------------------------------------------------------------------------------------------------
 
     async def start(self) -> None:
         """Start the workers: first the estimator, whose filters may have to be compiled, then the tool."""
-        self._tasks.append(asyncio.create_task(self._listen(self.supervisor.endpoints.estimates, self._on_estimator)))
-        self._tasks.append(asyncio.create_task(self._listen(self.supervisor.endpoints.samples, self._on_acquisition)))
-        self._tasks.append(asyncio.create_task(self._tick()))
+        endpoints = self.supervisor.endpoints
+        for work in (
+            self._listen(endpoints.estimates, self._on_estimator),
+            self._listen(endpoints.samples, self._on_acquisition),
+            self._tick(),
+            self._start_tool(),
+        ):
+            task = asyncio.create_task(work)
+            task.add_done_callback(self._on_task_end)
+            self._tasks.append(task)
         self.supervisor.start_estimator()
-        self._tasks.append(asyncio.create_task(self._start_tool()))
+
+    def _on_task_end(self, task: asyncio.Task[None]) -> None:
+        """An unexpected end of a part of the server: motor to zero, say so, and be unhealthy from then on."""
+        if task.cancelled() or not task.exception():
+            return
+        self.internal_error = f"The server failed inside ({task.exception()!r}). Start the service again."
+        logging.getLogger("graspwatch").error("the server failed inside", exc_info=task.exception())
+        self.alarms.raise_technical("server", Priority.HIGH, self.internal_error)
+        self._stopping = asyncio.create_task(self._command(bus.Stop("the server failed")))
 
     async def _start_tool(self) -> None:
         await self.estimator_ready.wait()
@@ -102,13 +127,16 @@ class Station:
 
     async def stop(self) -> None:
         """Motor to zero, workers ended."""
-        if self.current:
-            await self.stop_run("the service was ended")
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        await self.supervisor.stop()
-        self._context.destroy(linger=0)
+        try:
+            if self.runs.current:
+                with contextlib.suppress(ServiceError):  # a worker that does not answer is ended below
+                    await self.stop_run("the service was ended")
+        finally:
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.gather(*self._tasks, return_exceptions=True)
+            await self.supervisor.stop()
+            self._context.destroy(linger=0)
 
     # --- commands ----------------------------------------------------------------------------------------------------
 
@@ -118,19 +146,16 @@ class Station:
         Raises:
             ServiceError: the acquisition does not answer or refuses; the text says why.
         """
-        run_id = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{len(self.runs) + 1:03d}"
-        run = Run(
-            id=run_id, protocol=protocol.name, cycles=cycles, tissue=tissue, state=RunState.RUNNING,
-            started_at=datetime.now(UTC).isoformat(), ended_at=None, why=None, grasps=0,
-        )  # fmt: skip
-        self.current = run  # before the answer: nobody else may start meanwhile
-        answer = await self._command(bus.Start(run_id, protocol.model_dump_json(), cycles, tissue))
+        run = self.runs.begin(protocol.name, cycles, tissue, self._last_tick)  # nobody else may start meanwhile
+        deadline_ns = time.monotonic_ns() + int(ANSWER_S * 1e9)
+        answer = await self._command(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue, deadline_ns))
         if answer.refused:
-            self.current = None
+            self.runs.forget(run.id)
             raise ServiceError(answer.refused)
-        self.runs[run_id], self.grasps[run_id] = run, []
+        self.alarms.end("run")
         self.simulated_tissue = tissue or self.simulated_tissue
-        self._event(f"Run started: {protocol.title}, {cycles} grasps" + (f", {tissue}" if tissue else ""))
+        held = f", {self.plan.library.tissues[tissue].title.lower()}" if tissue else ""
+        self._event(f"Run started: {protocol.title}, {cycles} grasps{held}")
         self.tell_state()
         return run
 
@@ -140,11 +165,14 @@ class Station:
         Raises:
             ServiceError: the acquisition does not answer; its motor is zeroed by the supervisor when it has died.
         """
+        if self.plan.recordings or self.supervisor.workers["acquisition"].process is None:
+            return False  # there is no motor, or nothing that could move it yet
         answer = await self._command(bus.Stop(why))
         if answer.refused:
             raise ServiceError(answer.refused)
-        if answer.effect and self.current:
-            self._end_run(self.current.id, RunState.STOPPED, why)
+        current = self.runs.current
+        if answer.effect and current:
+            self._end_run(current.id, RunState.STOPPED, why)
         self._event("Stopped: the motor is at zero" + (f" ({why})" if why else ""))
         return answer.effect
 
@@ -181,12 +209,14 @@ class Station:
             self.tell_state()
         if self._samples.begins_anew(block.sequence):
             self._answers.clear()
-        self._samples.take(block.sequence)
+            self.runs.ticks_begin_anew()
+        missing = self._samples.take(block.sequence)
+        self._last_tick = int(block.samples["tick"][-1])
         self._last_sample_s = now
         self._rate.append((now, len(block.samples)))
         self._measure_lateness(block)
         self.metrics.samples.inc(len(block.samples))
-        self._count_lost(block.lost_samples)
+        self._count_lost(block.lost_samples + missing * len(block.samples))
         self.metrics.missing_blocks.labels("server").set(self._samples.missing + self._estimates.missing)
         self._waiting.append((now, block))
 
@@ -196,7 +226,7 @@ class Station:
         behind_s = block.t_mono_ns / 1e9 - clock_s
         if block.sequence == 1:
             self._promptest_s = behind_s
-        self._promptest_s = min(self._promptest_s, behind_s)
+        self._promptest_s = min(self._promptest_s + CLOCK_DRIFT_S, behind_s)
         self.metrics.acquisition_lateness.observe(behind_s - self._promptest_s)
 
     def _count_lost(self, samples: int) -> None:
@@ -233,8 +263,10 @@ class Station:
                 self._event(f"Replaying {notice['name']}")
             case "ended":
                 self._recording_ended = True
+                self.alarms.end(FORCE)
                 self._event("The recording has ended")
             case "fault":
+                self._fault_texts[notice["worker"]] = notice["text"]
                 self.alarms.raise_technical(notice["worker"], Priority.HIGH, notice["text"])
             case "run_ended":
                 self._end_run(notice["run_id"], RunState(notice["end"]), notice["why"])
@@ -252,7 +284,7 @@ class Station:
                 estimates = blank_estimates(estimate_dtype(len(self._tissues)), block.samples["tick"])
             self._waiting.popleft()
             columns = columns_of(block.samples, estimates, len(self._tissues))
-            newest_ms = block.t_mono_ns / 1e6 + self._clock_offset_ms
+            newest_ms = block.t_mono_ns / 1e6 + CLOCK_OFFSET_MS
             self._frames.add(int(block.samples["tick"][0]), columns, newest_ms)
 
     def _tell(self, received: ReceivedEstimates) -> None:
@@ -274,34 +306,31 @@ class Station:
 
     def _keep_grasp(self, grasp: Grasp) -> None:
         self.metrics.grasps.labels(grasp.label).inc()
-        run = self.current
-        if run:
-            grasp = grasp.model_copy(update={"index": len(self.grasps[run.id]) + 1})
-            self.grasps[run.id].append(grasp)
-            self._change_run(run.id, grasps=len(self.grasps[run.id]))
-        self.hub.broadcast(GraspEnded(run_id=run.id if run else None, grasp=grasp))
+        run_id, grasp = self.runs.keep(grasp, round(grasp.start_s * self.plan.tool.board.sample_rate_hz))
+        self.hub.broadcast(GraspEnded(run_id=run_id, grasp=grasp))
 
     def _end_run(self, run_id: str, state: RunState, why: str) -> None:
-        if not self.current or self.current.id != run_id:
+        if not self.runs.end(run_id, state, why):
             return
-        self._change_run(run_id, state=state, why=why, ended_at=datetime.now(UTC).isoformat())
-        self.current = None
         self._event(f"Run {state.value}: {why}")
         if state is RunState.FAILED:
             self.alarms.raise_technical("run", Priority.HIGH, f"The run was ended with the motor at zero: {why}")
+        if state is not RunState.FINISHED:
+            self.demonstrating = False
         self.tell_state()
 
-    def _change_run(self, run_id: str, **changes: Any) -> None:
-        self.runs[run_id] = self.runs[run_id].model_copy(update=changes)
-        if self.current and self.current.id == run_id:
-            self.current = self.runs[run_id]
-
     def _on_death(self, worker: str, text: str) -> None:
+        """A worker died, or (`motor`) the motor of a dead one could not be brought to zero."""
+        if worker == "motor":
+            self.alarms.raise_technical("motor", Priority.HIGH, text)
+            return
         self.metrics.worker_deaths.labels(worker).inc()
+        text = " ".join(filter(None, (self._fault_texts.pop(worker, None), text)))
         self.alarms.raise_technical(worker, Priority.HIGH, text)
         self._event(text)
-        if worker == "acquisition" and self.current:
-            self._end_run(self.current.id, RunState.FAILED, "the acquisition worker died")
+        current = self.runs.current
+        if worker == "acquisition" and current:
+            self._end_run(current.id, RunState.FAILED, "the acquisition worker died")
         self.tell_state()
 
     # --- what the viewers get ----------------------------------------------------------------------------------------
@@ -313,6 +342,8 @@ class Station:
         while True:
             due += period_s
             await asyncio.sleep(max(due - time.monotonic(), 0.0))
+            if time.monotonic() - due > SILENCE_S:  # this process was held up: let it read what waits before it judges
+                self._watch_from_s = time.monotonic() + HUNG_S
             due = max(due, time.monotonic() - period_s)
             self._join()
             for frame in self._frames.cut():
@@ -327,31 +358,39 @@ class Station:
         """Raise a technical alarm while a worker is silent, and end it when it speaks again."""
         now = time.monotonic()
         alive = {name: worker.condition is Condition.RUNNING for name, worker in self.supervisor.workers.items()}
-        sampling = now - self._last_sample_s < SILENCE_S
-        estimating = now - self._last_estimate_s < SILENCE_S
-        if self._last_sample_s and not sampling and not self._recording_ended:
+        silent_s = {"acquisition": now - self._last_sample_s, "estimator": now - self._last_estimate_s}
+        if self._recording_ended or now < self._watch_from_s:
+            return
+        self._sampling = silent_s["acquisition"] < SILENCE_S
+        estimating = silent_s["estimator"] < SILENCE_S
+        if self._last_sample_s and not self._sampling:
             self.alarms.raise_technical("samples", Priority.HIGH, "No samples arrive from the tool")
-        elif sampling and alive["acquisition"]:
+        elif self._sampling and alive["acquisition"]:
             self.alarms.end("samples")
             self.alarms.end("acquisition")
-        if self._last_estimate_s and sampling and not estimating:
+        if self._last_estimate_s and self._sampling and not estimating:
             self.alarms.raise_technical("estimates", Priority.MEDIUM, "No estimates arrive: the tissue is not watched")
         elif estimating and alive["estimator"]:
             self.alarms.end("estimates")
             self.alarms.end("estimator")
+        for name, since_s in silent_s.items():
+            expected = name == "acquisition" or self._sampling
+            if alive[name] and expected and since_s > HUNG_S and not self.plan.recordings:
+                self._event(f"The {name} worker does not answer: it is ended and replaced")
+                self.supervisor.kill(name)
 
     @property
     def phase(self) -> Phase:
         conditions = {name: worker.condition for name, worker in self.supervisor.workers.items()}
-        if Condition.FAULTED in conditions.values():
+        if self.internal_error or Condition.FAULTED in conditions.values():
             return Phase.FAULTED
         if self._recording_ended:
             return Phase.ENDED
-        if set(conditions.values()) != {Condition.RUNNING}:
+        if set(conditions.values()) != {Condition.RUNNING} or not self._sampling:
             return Phase.STARTING
         if self.plan.recordings:
             return Phase.REPLAYING
-        return Phase.RUNNING if self.current else Phase.IDLE
+        return Phase.RUNNING if self.runs.current else Phase.IDLE
 
     def _rate_hz(self) -> float:
         if len(self._rate) < 2 or time.monotonic() - self._rate[-1][0] > 1.0:
@@ -359,14 +398,13 @@ class Station:
         return sum(n for _, n in list(self._rate)[1:]) / (self._rate[-1][0] - self._rate[0][0])
 
     def state(self) -> State:
-        last_run = next(reversed(self.runs.values()), None)
         return State(
             server_time_ms=now_ms(),
             phase=self.phase,
-            run=self.current,
-            last_run=last_run,
+            run=self.runs.current,
+            last_run=self.runs.last,
             simulated_tissue=self.simulated_tissue,
-            demo=self.plan.demo,
+            demo=self.demonstrating,
             rate_hz=self._rate_hz(),
             lost_samples=self.lost_samples,
             estimator_latency_ms=self._latency_ms,
@@ -397,10 +435,9 @@ class Station:
     def greeting(self) -> tuple[list[Any], list[bytes]]:
         """What a new viewer gets first: messages, and the last seconds of samples."""
         messages: list[Any] = [self.hello(), self.state(), *self.alarms.active()]
-        with contextlib.suppress(KeyError):
-            run = self.current or next(reversed(self.runs.values()), None)
-            if run:
-                messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.grasps[run.id]]
+        run = self.runs.last
+        if run:
+            messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.runs.grasps(run.id)]
         if self._identification:
             messages.append(self._identification)
         return messages, self._frames.history()

@@ -80,13 +80,13 @@ class Supervisor:
     def _died(self, worker: Worker, process: BaseProcess) -> None:
         asyncio.get_running_loop().remove_reader(process.sentinel)
         process.join()
+        if worker.name == "acquisition" and process.exitcode != 0:
+            self._zero_motor()
         if self._ending:
             return
-        if process.exitcode == 0:
+        if process.exitcode == 0 and self._plan.recordings and worker.name == "acquisition":
             worker.condition = Condition.ENDED
             return
-        if worker.name == "acquisition":
-            self._zero_motor()
         worker.deaths.append(time.monotonic())
         often = len(worker.deaths) > RESTARTS_A_MINUTE and worker.deaths[-1] - worker.deaths[0] < 60.0
         final = often or process.exitcode == ToolError.exit_code
@@ -104,7 +104,13 @@ class Supervisor:
         try:
             reset_device(self._plan.tool)
         except ToolError as error:
-            self._on_death("acquisition", f"The motor could not be reset: {error} Switch its amplifier off by hand.")
+            self._on_death("motor", str(error))
+
+    def kill(self, name: str) -> None:
+        """End a worker that does not answer any more; its death is then handled like any other."""
+        process = self.workers[name].process
+        if process and process.is_alive():
+            process.kill()
 
     async def stop(self) -> None:
         """End the workers in order; what does not end is killed."""
@@ -114,6 +120,9 @@ class Supervisor:
             if process.is_alive():
                 process.terminate()
         await asyncio.to_thread(self._join, processes)
+        acquisition = self.workers["acquisition"].process
+        if acquisition and acquisition.exitcode != 0:
+            self._zero_motor()
         self._folder.cleanup()
 
     @staticmethod

@@ -26,9 +26,16 @@ class ToolError(GraspwatchError):
 
 
 class RefusedError(GraspwatchError):
-    """A request the tool must not or cannot carry out now (beyond limits, already running)."""
+    """A request the tool must not or cannot carry out now (beyond limits, already running).
+
+    `field` names the part of the request at fault.
+    """
 
     exit_code = 5
+
+    def __init__(self, text: str, field: str = "protocol") -> None:
+        super().__init__(text)
+        self.field = field
 
 
 class ServiceError(GraspwatchError):

@@ -298,7 +298,7 @@ class Protocol(Model):
 
     name: Slug
     title: str
-    lead_in_s: NonNegative = 0.5
+    lead_in_s: Annotated[float, Field(ge=0.25, le=60)] = 0.5
     cycles: Annotated[int, Field(ge=1, le=10_000)] = 1
     waveform: Annotated[Trapezoid | Sine | Custom, Field(discriminator="shape")]
 

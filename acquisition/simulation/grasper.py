@@ -86,6 +86,7 @@ class SimulatedGrasper:
         self.x_m = 0.0
         self._v_m_per_s = 0.0
         self.in_contact = False
+        squeeze(0.0, 0.0, 0.0, 0.0, self._dt_s, 1.0, 1.0, 1.0, 1.0)  # compiled now, not in the first grasp
 
     def hold(self, tissue: str) -> None:
         """What the next grasp finds between the jaws."""

@@ -19,10 +19,12 @@ async def health(request: Request, response: Response) -> Health:
     workers = {name: worker.condition.value for name, worker in station.supervisor.workers.items()}
     phase = station.phase
     if phase is Phase.FAULTED:
-        status, detail = "faulted", "; ".join(station.alarms.technical_texts()) or "a worker is down"
+        texts = station.alarms.technical_texts()
+        status, detail = "faulted", station.internal_error or "; ".join(texts) or "a worker is down"
     elif phase is Phase.STARTING:
-        compiled = station.estimator_ready.is_set()
-        status, detail = "starting", "opening the tool" if compiled else "preparing the filters"
+        texts = station.alarms.technical_texts()
+        waiting_for = "opening the tool" if station.estimator_ready.is_set() else "preparing the filters"
+        status, detail = "starting", "; ".join(texts) or waiting_for
     else:
         status, detail = "ready", phase.value
     response.status_code = 200 if status == "ready" else 503

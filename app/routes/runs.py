@@ -8,7 +8,7 @@ from fastapi import APIRouter, Body, Request
 from acquisition.protocol import ProtocolPlayer
 from app.problems import ProblemError
 from app.station import Station
-from app.wire import Grasp, Problem, Run, RunRequest, StopAnswer
+from app.wire import Grasp, Phase, Problem, Run, RunRequest, StopAnswer
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import available, choose, load_protocol
 from config.schema import ToolKind
@@ -44,14 +44,28 @@ async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> 
     try:
         ProtocolPlayer(protocol, station.plan.tool, cycles)
     except RefusedError as error:
-        field = "cycles" if "cycles" in str(error) else "protocol"
-        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), field) from None
-    if station.current:
-        raise ProblemError(HTTPStatus.CONFLICT, f"Run {station.current.id} is under way. Stop it first.")
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), error.field) from None
+    await _make_room(station)
     try:
         return await station.start_run(protocol, cycles, wanted.tissue or station.simulated_tissue)
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+
+
+async def _make_room(station: Station) -> None:
+    """A person ends the demonstration by starting a run; any other run under way, or a tool not ready, refuses one."""
+    current = station.runs.current
+    if current and station.demonstrating:
+        await station.stop_run("the demonstration was ended by a run")
+        current = station.runs.current
+    station.demonstrating = False
+    if current:
+        raise ProblemError(HTTPStatus.CONFLICT, f"Run {current.id} is under way. Stop it first.")
+    if station.phase is not Phase.IDLE:
+        detail = (
+            f"The tool is not ready ({station.phase.value}): {'; '.join(station.alarms.technical_texts()) or 'wait'}"
+        )
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail)
 
 
 def _check_tissue(station: Station, tissue: str | None) -> None:
@@ -69,30 +83,30 @@ def _check_tissue(station: Station, tissue: str | None) -> None:
 @router.get("/runs")
 async def list_runs(request: Request) -> list[Run]:
     """All runs since the service started, oldest first."""
-    return list(station_of(request).runs.values())
+    return station_of(request).runs.all()
 
 
 @router.get("/runs/{run_id}", responses={404: {"description": "No such run", **PROBLEM}})
 async def get_run(request: Request, run_id: str) -> Run:
     """One run."""
-    runs = station_of(request).runs
-    if run_id not in runs:
+    run = station_of(request).runs.get(run_id)
+    if run is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no run {run_id!r}. GET /api/runs lists them.")
-    return runs[run_id]
+    return run
 
 
 @router.get("/runs/{run_id}/grasps", responses={404: {"description": "No such run", **PROBLEM}})
 async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
     """The finished grasps of a run."""
     await get_run(request, run_id)
-    return station_of(request).grasps[run_id]
+    return station_of(request).runs.grasps(run_id)
 
 
 @router.post("/runs/{run_id}/stop", responses={404: {"description": "No such run", **PROBLEM}})
 async def stop_run(request: Request, run_id: str) -> StopAnswer:
     """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
     run = await get_run(request, run_id)
-    current = station_of(request).current
+    current = station_of(request).runs.current
     if current is None or current.id != run.id:
         return StopAnswer(stopped=False, run=run)
     return await stop(request)
@@ -102,11 +116,13 @@ async def stop_run(request: Request, run_id: str) -> StopAnswer:
 async def stop(request: Request) -> StopAnswer:
     """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
     station = station_of(request)
-    before = station.current
+    station.demonstrating = False
+    before = station.runs.current
     try:
         stopped = await station.stop_run("asked to stop")
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
     run = station.runs.get(before.id) if before else None
+    station.tell_state()
     return StopAnswer(stopped=stopped, run=run)

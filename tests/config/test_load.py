@@ -243,7 +243,7 @@ def test_a_simulated_tool_needs_its_mechanics(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (("withdraw_below = 0.5", "withdraw_below = 0.8"), "withdraw_below must be lower than decide_at"),
+        (("withdraw_below = 0.6", "withdraw_below = 0.8"), "withdraw_below must be lower than decide_at"),
         (("low = 0.7", "low = 0.95"), "low < medium < high"),
         (("port = 8000", "port = 70000"), "server.port"),
         (("prior_unknown = 0.02", "prior_unknown = 0.0"), "identification.prior_unknown"),

@@ -1,0 +1,87 @@
+"""The book of runs: which one is under way, which came before, and whose each grasp is."""
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from app.wire import Grasp, Run, RunState
+
+RUNS_KEPT = 1_000
+
+
+@dataclass(slots=True)
+class _Entry:
+    run: Run
+    start_tick: int
+    epoch: int
+    grasps: list[Grasp] = field(default_factory=list)
+
+
+class RunBook:
+    """The last runs of this service, oldest first."""
+
+    def __init__(self) -> None:
+        self._entries: dict[str, _Entry] = {}
+        self._count = 0
+        self._epoch = 0
+        self.current_id: str | None = None
+
+    @property
+    def current(self) -> Run | None:
+        return self._entries[self.current_id].run if self.current_id else None
+
+    @property
+    def last(self) -> Run | None:
+        return next((entry.run for entry in reversed(self._entries.values())), None)
+
+    def all(self) -> list[Run]:
+        return [entry.run for entry in self._entries.values()]
+
+    def get(self, run_id: str) -> Run | None:
+        entry = self._entries.get(run_id)
+        return entry.run if entry else None
+
+    def grasps(self, run_id: str) -> list[Grasp]:
+        return self._entries[run_id].grasps
+
+    def begin(self, protocol: str, cycles: int, tissue: str | None, start_tick: int) -> Run:
+        """A new run, under way from now on; its grasps begin after `start_tick`."""
+        self._count += 1
+        now = datetime.now(UTC)
+        run = Run(
+            id=f"{now:%Y%m%d-%H%M%S}-{self._count:03d}", protocol=protocol, cycles=cycles, tissue=tissue,
+            state=RunState.RUNNING, started_at=now.isoformat(), ended_at=None, why=None, grasps=0,
+        )  # fmt: skip
+        self._entries[run.id] = _Entry(run, start_tick, self._epoch)
+        self.current_id = run.id
+        while len(self._entries) > RUNS_KEPT:
+            del self._entries[next(iter(self._entries))]
+        return run
+
+    def forget(self, run_id: str) -> None:
+        """The run was refused: it never was."""
+        self._entries.pop(run_id, None)
+        if self.current_id == run_id:
+            self.current_id = None
+
+    def end(self, run_id: str, state: RunState, why: str) -> bool:
+        """End a run; False if it is not the one under way."""
+        if run_id != self.current_id:
+            return False
+        entry = self._entries[run_id]
+        entry.run = entry.run.model_copy(update={"state": state, "why": why, "ended_at": datetime.now(UTC).isoformat()})
+        self.current_id = None
+        return True
+
+    def keep(self, grasp: Grasp, start_tick: int) -> tuple[str | None, Grasp]:
+        """File a finished grasp under the run in which it began; returns that run and the grasp as numbered there."""
+        for run_id, entry in reversed(self._entries.items()):
+            if entry.epoch == self._epoch and entry.start_tick <= start_tick:
+                grasp = grasp.model_copy(update={"index": len(entry.grasps) + 1})
+                entry.grasps.append(grasp)
+                entry.run = entry.run.model_copy(update={"grasps": len(entry.grasps)})
+                return run_id, grasp
+        return None, grasp
+
+    def ticks_begin_anew(self) -> None:
+        """The acquisition was restarted: its ticks count from zero again."""
+        self._epoch += 1
