@@ -1,5 +1,5 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test lint bench dashboard wire lock clean
+.PHONY: run test bench dashboard wire lock clean
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy import signal
 
+from config.errors import ConfigurationError
 from config.schema import Conditioning
 
 
@@ -10,6 +11,11 @@ class LowPass:
     """Causal Butterworth filter of several channels; begins in steady state at the first sample."""
 
     def __init__(self, settings: Conditioning, rate_hz: float) -> None:
+        if settings.butterworth_cutoff_hz >= rate_hz / 2:
+            raise ConfigurationError(
+                f"conditioning.butterworth_cutoff_hz: {settings.butterworth_cutoff_hz:g} Hz is not below half of the "
+                f"tool's {rate_hz:g} samples a second. Lower it."
+            )
         self._b, self._a = signal.butter(settings.butterworth_order, settings.butterworth_cutoff_hz, fs=rate_hz)
         self._state: np.ndarray | None = None
 

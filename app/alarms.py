@@ -48,7 +48,7 @@ class AlarmBook:
         value: float | None = None, limit: float | None = None,
     ) -> None:  # fmt: skip
         before = self._active.get(key)
-        if before and (before.priority, before.text) == (priority, text):
+        if before and (before.priority, before.text, before.limit) == (priority, text, limit):
             return
         if not before:
             self._count += 1

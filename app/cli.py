@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from app import __version__
-from config.errors import ConfigurationError, GraspwatchError
+from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, load_library, load_protocol, load_settings, load_tool
 from config.schema import Settings, Tool, ToolKind
 
@@ -107,6 +107,8 @@ def run(
             cycles=count, seed=seed, real_time=real_time, progress=progress,
         )  # fmt: skip
     _print_reports([report.document()], as_json)
+    if report.failure:
+        raise ToolError(report.failure)
 
 
 @app.command()
@@ -206,6 +208,9 @@ def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
         console.print(_table(document))
 
 
+REMARKS = {"unknown": "fits no tissue of the library"}
+
+
 def _table(document: dict[str, Any]) -> Table:
     title = (
         f"{document['source']}: {document['samples']} samples in {document['duration_s']:.1f} s, "
@@ -224,7 +229,7 @@ def _table(document: dict[str, Any]) -> Table:
             "" if probability is None else f"{probability:.0%}",
             "" if decided is None else f"{decided * 1e3:.0f} ms",
             "" if peak is None else f"{peak:.2f} N",
-            grasp["why_invalid"] or "",
+            grasp["why_invalid"] or REMARKS.get(grasp["label"], ""),
         )
     return table
 

@@ -9,7 +9,6 @@ from acquisition.control import Acquisition, RunEnd, RunEnded
 from acquisition.pipeline import Pipeline
 from acquisition.recording import Recording
 from acquisition.tools import open_tool
-from config.errors import ToolError
 from config.schema import Protocol, Settings, TissueLibrary, Tool
 from estimator.blocks import GraspRecord
 from estimator.session import EstimationSession
@@ -27,6 +26,7 @@ class Report:
     samples: int = 0
     lost_samples: int = 0
     grasps: list[GraspRecord] = field(default_factory=list)
+    failure: str | None = None  # why a run ended before its protocol
 
     def document(self) -> dict[str, Any]:
         return {
@@ -47,7 +47,7 @@ def run_protocol(
 
     Raises:
         RefusedError: the protocol passes the tool's limits.
-        ToolError: the run was ended by the force ceiling or a failing board.
+        ToolError: the board failed.
     """
     report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz)
     session = EstimationSession(tool, library, settings)
@@ -68,7 +68,7 @@ def run_protocol(
     if last := session.finish():
         report.grasps.append(last)
     if ended and ended[0].end is RunEnd.FAILED:
-        raise ToolError(f"The run was ended after {len(report.grasps)} grasps with the motor at zero: {ended[0].why}.")
+        report.failure = f"The run was ended early with the motor at zero: {ended[0].why}."
     return report
 
 

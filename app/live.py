@@ -65,9 +65,11 @@ class Viewer:
 
     async def _receive(self) -> None:
         while True:
-            text = await self._socket.receive_text()
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
             try:
-                received = FrameReceived.model_validate_json(text)
+                received = FrameReceived.model_validate_json(message.get("text") or "")
             except ValidationError:
                 await self._socket.close(1007, "expected {'type': 'received', 'sequence': n}")
                 return

@@ -8,6 +8,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from app.wire import Problem
+from config.errors import GraspwatchError
 
 
 class ProblemError(Exception):
@@ -39,6 +40,10 @@ def install(app: FastAPI) -> None:
         ]
         detail = "; ".join(f"{fault['field']}: {fault['message']}" for fault in errors)
         return _answer(HTTPStatus.UNPROCESSABLE_ENTITY, detail, errors)
+
+    @app.exception_handler(GraspwatchError)
+    async def on_fault(request: Request, error: GraspwatchError) -> JSONResponse:
+        return _answer(HTTPStatus.INTERNAL_SERVER_ERROR, str(error))
 
     @app.exception_handler(HTTPException)
     async def on_http(request: Request, error: HTTPException) -> JSONResponse:

@@ -100,6 +100,7 @@ class ProtocolInfo(Wire):
     cycles: int
     cycle_s: float
     peak_command_v: float
+    refused: str | None = Field(description="Why this tool cannot play it; its waveform is then empty")
     time_s: list[float]
     command_v: list[float]
 

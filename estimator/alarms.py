@@ -30,6 +30,7 @@ class ForceWarnings:
         self._begin = {Priority.LOW: shares.low, Priority.MEDIUM: shares.medium, Priority.HIGH: shares.high}
         self._hysteresis = shares.hysteresis
         self._now: Priority | None = None
+        self._tissue: str | None = None
 
     def update(self, tick: int, force_n: float, threshold_n: float, threshold_tissue: str | None) -> ForceAlarm | None:
         """Take the force and the threshold in force, N; returns the change, if there is one."""
@@ -39,7 +40,7 @@ class ForceWarnings:
             held = self._now is not None and begin <= self._begin[self._now]
             if share >= begin - (self._hysteresis if held else 0.0):
                 reached = priority
-        if reached is self._now:
+        if reached is self._now and (reached is None or threshold_tissue == self._tissue):
             return None
-        self._now = reached
+        self._now, self._tissue = reached, threshold_tissue
         return ForceAlarm(tick, reached, force_n, threshold_n, threshold_tissue)

@@ -117,6 +117,10 @@ class Bank:
             cov[OFFSET, STRAIN] = cov[STRAIN, OFFSET] = -first.metre_per_volt * self.strain_var
             cov[OFFSET, OFFSET] += first.metre_per_volt**2 * self.strain_var
 
+    def is_believed(self, k: int) -> bool:
+        """Whether filter k has neither diverged nor lost the data just now."""
+        return bool(self.state.valid[k] and self.state.nis_recent[k] < NIS_DIVERGED)
+
     def advance(
         self, force_n: np.ndarray, displacement_m: np.ndarray, newton_per_volt: np.ndarray, metre_per_volt: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:

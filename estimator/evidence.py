@@ -79,6 +79,8 @@ def likelihood_of_parameters(mean, cov, guess, guess_var, misfit):
     for i in range(3):
         for j in range(3):
             inner[i, j] = cov[LOG_ALPHA + i, LOG_ALPHA + j]
+    if not np.linalg.det(inner) > 0.0:  # no proper covariance: nothing is learned from it
+        return np.zeros((3, 3)), np.zeros(3)
     information = np.linalg.inv(inner)
     vector = information @ mean[LOG_ALPHA : LOG_ALPHA + 3]
     for i in range(3):

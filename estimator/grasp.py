@@ -15,8 +15,8 @@ from estimator.evidence import Evidence
 from estimator.model import force_curve
 
 ENCODER_SLIPS, SATURATED = Flag.ENCODER_SLIPS.value, Flag.SATURATED.value
-UNFELT_FORCE_N = 0.005  # noise of the force after averaging as the contact search does
-KEPT_STEPS = 100  # of EVIDENCE_SAMPLES each: how far back the jaws may turn out to have been shut
+UNFELT_FORCE_N = 0.005  # scale of what presses before the back-dated rise of the force begins; see decision 4
+KEPT_STEPS = 100  # calls of `take`, 0.5 s: how far back the jaws may turn out to have been shut
 LOST_ALLOWED = 5  # samples that may be missing in a grasp
 
 
@@ -46,7 +46,7 @@ class GraspEstimation:
         self.best = -1
         self.peak_n, self.peak_m = np.nan, np.nan
         self.contact_tick, self._contact_m = -1, np.nan
-        self.over = False  # no more tissue to learn from: jaws shut
+        self.over = False  # nothing more to learn: jaws shut, or an encoder that slips
         self.flags = 0
         self.lost_samples = 0
         self._errors = ForceErrors(len(self.names), settings.convergence_error)
@@ -106,7 +106,7 @@ class GraspEstimation:
     def why_invalid(self) -> str | None:
         """What speaks against believing this grasp, or None."""
         if self.flags & ENCODER_SLIPS:
-            return "the encoder slips or walks: displacement cannot be believed"
+            return "encoder slips or walks"
         if self.flags & SATURATED:
             return "the strain gage is saturated"
         if self.contact_tick < 0:
@@ -143,7 +143,7 @@ class GraspEstimation:
         convergence, error = self.criteria(rate_hz)
         label, probabilities = self.label, self.named_probabilities()
         parameters = [np.nan] * 3
-        if self.best >= 0 and self._bank.state.valid[self.best]:
+        if self.best >= 0 and self._bank.is_believed(self.best):
             parameters = np.exp(self._bank.state.mean[self.best, LOG_ALPHA : LOG_DAMPING + 1])
         why_invalid = self.why_invalid()
         return GraspRecord(

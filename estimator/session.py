@@ -50,7 +50,7 @@ class EstimationSession:
         self._recent = window[-2 * BACKDATE_SAMPLES :]
         estimates = blank_estimates(self._dtype, block.samples["tick"])
         if self._in_grasp and self._grasp:
-            self._grasp.lost_samples += block.lost_samples
+            self._grasp.lost_samples += int(block.samples["tick"][0]) - self._last_tick - 1
         ended: list[GraspRecord] = []
         alarms: list[ForceAlarm] = []
         ends = [*(np.flatnonzero(np.diff(block.samples["tick"] // STEP_SAMPLES)) + 1).tolist(), n]
@@ -146,7 +146,9 @@ class EstimationSession:
     def _identification(self, samples: np.ndarray) -> Identification:
         grasp, last = self._grasp, samples[-1]
         step = int(last["tick"]) // STEP_SAMPLES
-        if grasp and self._in_grasp and not grasp.over and step % CRITERIA_EVERY == 0:
+        held_steps = (int(last["tick"]) - grasp.start_tick) // STEP_SAMPLES if grasp else 0
+        every = max(CRITERIA_EVERY, held_steps // CRITERIA_EVERY)  # the longer the grasp, the dearer the look back
+        if grasp and self._in_grasp and not grasp.over and step % every == 0:
             self._criteria = grasp.criteria(self._rate_hz)
         probabilities = grasp.named_probabilities() if grasp else {}
         label = grasp.label if grasp else UNDECIDED

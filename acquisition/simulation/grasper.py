@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from acquisition.calibration import from_jaw
+from acquisition.calibration import from_jaw, to_jaw
 from config.errors import ConfigurationError
 from config.schema import TissueLibrary, Tool
 
 SUBSTEPS = 5  # stable up to 1e6 N/m on 5 g
 TOUCHED_V = 5.0
-SHUT_SHARE = 0.98  # of the thickness: the jaws meet
+SHUT_SHARE = 0.98  # of the thickness, or of what the linkage can reach: the jaws are shut
 OPENING_BELOW_N = 0.02
 REST_SCATTER_V = 0.005  # rest voltages of the recordings differ by this much
 
@@ -70,6 +70,8 @@ class SimulatedGrasper:
         self._tool, self._mechanics, self._library = tool, tool.simulation, library
         self._dt_s = 1.0 / tool.board.sample_rate_hz
         self._seed = seed
+        sweep = to_jaw(tool, np.zeros(400), np.arange(400.0))
+        self._reach_m = SHUT_SHARE * float(np.nanmax(sweep.displacement_m))
         self._noise = np.random.default_rng([seed, 0])
         self._rest_v = tool.calibration.rest_offset_v + REST_SCATTER_V * float(self._noise.standard_normal())
         self._noise_v: list[float] = []
@@ -146,7 +148,7 @@ class SimulatedGrasper:
             self.x_m, self._v_m_per_s, begin_n, self.force_n, self._dt_s,
             held.alpha_n, held.beta_per_m, held.damping_kg_per_s, held.mass_kg,
         )  # fmt: skip
-        shut_m = SHUT_SHARE * held.thickness_m
+        shut_m = min(SHUT_SHARE * held.thickness_m, self._reach_m - self._mechanics.free_travel_m)
         if x_m > shut_m:
             x_m, v_m_per_s = shut_m, 0.0
         self.x_m, self._v_m_per_s = x_m, v_m_per_s

@@ -1,12 +1,15 @@
 """What there is: the tool, its protocols, the tissue library, the service's health and metrics."""
 
+import numpy as np
 from fastapi import APIRouter, Request, Response
 
 from acquisition.protocol import command_cycle
 from app import __version__
 from app.routes.runs import station_of
 from app.wire import Health, Phase, ProtocolInfo, TissueInfo, ToolInfo
+from config.errors import RefusedError
 from config.load import available, load_protocol
+from config.schema import Protocol, Tool
 
 router = APIRouter(tags=["catalogue"])
 PREVIEW_POINTS = 200
@@ -41,23 +44,27 @@ async def tool(request: Request) -> ToolInfo:
 async def protocols(request: Request) -> list[ProtocolInfo]:
     """The protocols, the shortest first, each with its waveform for a preview."""
     in_use = station_of(request).plan.tool
-    result = []
-    for name in available("protocols"):
-        protocol = load_protocol(name)
-        command = command_cycle(protocol, in_use)
-        thin = max(len(command) // PREVIEW_POINTS, 1)
-        result.append(
-            ProtocolInfo(
-                name=name,
-                title=protocol.title,
-                cycles=protocol.cycles,
-                cycle_s=protocol.waveform.cycle_s,
-                peak_command_v=float(command.max()),
-                time_s=[i / in_use.board.sample_rate_hz for i in range(0, len(command), thin)],
-                command_v=command[::thin].tolist(),
-            )
-        )
+    result = [_preview(load_protocol(name), in_use) for name in available("protocols")]
     return sorted(result, key=lambda protocol: (protocol.cycle_s, protocol.name))
+
+
+def _preview(protocol: Protocol, tool: Tool) -> ProtocolInfo:
+    refused, command = None, np.zeros(0)
+    try:
+        command = command_cycle(protocol, tool)
+    except RefusedError as error:
+        refused = str(error)
+    thin = max(len(command) // PREVIEW_POINTS, 1)
+    return ProtocolInfo(
+        name=protocol.name,
+        title=protocol.title,
+        cycles=protocol.cycles,
+        cycle_s=protocol.waveform.cycle_s,
+        peak_command_v=float(command.max(initial=0.0)),
+        refused=refused,
+        time_s=[i / tool.board.sample_rate_hz for i in range(0, len(command), thin)],
+        command_v=command[::thin].tolist(),
+    )
 
 
 @router.get("/api/tissues")

@@ -50,6 +50,7 @@ function render(): void {
   tissue.render(now);
   force.render();
   protocol.render();
+  stop.render(model.state?.run?.id ?? null);
   grasps.render();
   status.render();
   charts.render();

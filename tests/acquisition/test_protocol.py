@@ -35,8 +35,8 @@ def played(player: ProtocolPlayer, block: int) -> np.ndarray:
     return np.array(commands)
 
 
-def test_every_shipped_protocol_is_one_of_the_papers() -> None:
-    assert set(available("protocols")) == {"sine", *(name for name, _, _ in TRAPEZOIDS)}
+def test_all_of_the_papers_protocols_are_shipped() -> None:
+    assert {"sine", *(name for name, _, _ in TRAPEZOIDS)} <= set(available("protocols"))
 
 
 @pytest.mark.parametrize(("name", "ramp_s", "peak_v"), TRAPEZOIDS)

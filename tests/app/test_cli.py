@@ -296,7 +296,7 @@ def refusals(folder: Path, taken_port: int) -> dict[str, Answer]:
     ("call", "code", "told"),
     [
         ("tissue", 2, r"There is no tissue 'livr'\. Did you mean 'liver'\? There is: liver, small_bowel, bladder, "),
-        ("protocol", 2, r"There is no protocol 'trapezoid'\. .*There is: sine, trapezoid_025hz, "),
+        ("protocol", 2, r"There is no protocol 'trapezoid'\. .*There is: sine, staircase, "),
         ("library", 2, r"There is no tissue library 'porcin'\. Did you mean 'porcine'\?"),
         ("library file", 2, r"6 faults to mend: .*bad_library\.toml: tissues\.bladder\.alpha_n: Field required"),
         ("library file", 2, r"tissues\.gallbladder\.alpha_mn: unknown key; did you mean 'alpha_n'\?"),

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from service import Service, until
+from simulation import joined, simulate_raw, write_lvm
 from websockets.sync.client import connect
 
 from app.wire import FRAME_HEADER
@@ -229,3 +230,60 @@ def test_a_worker_that_keeps_dying_is_given_up_after_three_restarts():
         assert (health.status_code, health.json()["status"]) == (503, "faulted")
         assert "estimator" in health.json()["detail"]
         assert running.http.post("/api/stop").status_code == 200
+
+
+def test_a_grasp_cut_short_by_stop_is_kept_and_starting_at_once_again_works(service):
+    for _ in range(8):
+        run = service.run(protocol="trapezoid_025hz", cycles=3, tissue="bladder")
+        until(lambda: "running" in service.http.get("/api/health").json()["detail"])
+        time.sleep(1.1)
+        service.http.post("/api/stop")
+        again = service.run(protocol="trapezoid_4hz", cycles=1, tissue="bladder")
+        assert service.finished(again["id"])["state"] == "finished"
+        grasps = {name: service.http.get(f"/api/runs/{name}/grasps").json() for name in (run["id"], again["id"])}
+        assert [len(found) for found in grasps.values()] == [1, 1]
+        assert grasps[run["id"]][0]["end_s"] < grasps[again["id"]][0]["start_s"]
+
+
+def test_the_demonstration_ends_when_somebody_stops_it():
+    with Service("serve", "--demo") as running:
+        until(lambda: running.http.get("/api/runs").json())
+        running.http.post("/api/stop")
+        runs = len(running.http.get("/api/runs").json())
+        time.sleep(4.0)
+        assert len(running.http.get("/api/runs").json()) == runs
+        assert running.http.get("/api/health").json()["detail"] == "idle"
+
+
+def test_a_hung_acquisition_is_ended_and_replaced():
+    with Service("serve") as running, Listener(running) as listener:
+        run = running.run(protocol="trapezoid_025hz", cycles=20)
+        listener.listen(lambda: any(m["in_grasp"] for m in listener.of("identification")))
+        os.kill(running.worker("acquisition"), signal.SIGSTOP)
+        told_s = listener.listen(lambda: any("No samples" in a["text"] for a in listener.of("alarm")))
+        assert told_s < 0.6
+        assert running.finished(run["id"])["state"] == "failed"
+        until(running.ready)
+
+
+def test_ctrl_c_in_a_run_ends_everything_without_a_traceback():
+    with Service("serve") as running:
+        workers = [running.worker("acquisition"), running.worker("estimator")]
+        running.run(protocol="trapezoid_2hz", cycles=50)
+        time.sleep(1.0)
+        for pid in (*workers, running.process.pid):  # a terminal signals the whole group
+            os.kill(pid, signal.SIGINT)
+        running.process.wait(15)
+        assert not [pid for pid in workers if os.path.exists(f"/proc/{pid}")]
+        assert "Traceback" not in running.process.stderr.read()
+
+
+def test_a_replay_can_be_stopped_watched_and_ends(tmp_path):
+    path = write_lvm(tmp_path / "short.lvm", joined(simulate_raw("gallbladder", "trapezoid_2hz", cycles=3)))
+    with Service("replay", str(path), "--serve", "--speed", "2") as running, Listener(running) as listener:
+        stopped = running.http.post("/api/stop")
+        assert (stopped.status_code, stopped.json()["stopped"]) == (200, False)
+        assert running.http.post("/api/runs", json={"protocol": "sine"}).status_code == 409
+        listener.listen(lambda: listener.of("state")[-1:] and listener.of("state")[-1]["phase"] == "ended")
+        labels = [message["grasp"]["label"] for message in listener.of("grasp")]
+        assert labels.count("gallbladder") >= 2

@@ -51,6 +51,7 @@ export class ProtocolPanel {
   render(): void {
     const { hello, state } = this.model;
     if (hello && this.tissuesFor !== hello.tissues) this.listTissues(hello);
+    setHidden(byId("run-form"), hello?.tool.kind === "recording");
     setText(byId("phase"), state ? PHASE[state.phase] : "");
     setData(byId("phase"), "phase", state?.phase ?? "");
     setText(byId("run-now"), this.runInWords());
@@ -116,6 +117,7 @@ export class ProtocolPanel {
   private runInWords(): string {
     const { state } = this.model;
     if (state?.phase === "faulted") return `The tool is at fault: ${state.faults.join("; ") || "see the log"}`;
+    if (this.model.hello?.tool.kind === "recording") return "A recording is played: there is no motor to start.";
     const run = state?.run ?? state?.last_run;
     if (!run) return "";
     if (run.state === "running") return `Running ${this.titleOf(run)}: ${run.grasps} of ${count(run.cycles, "grasp")} done`;

@@ -10,6 +10,7 @@ const SUCCESS_SHOWN_MS = 15_000;
 export class StopButton {
   private failedAt: number | null = null;
   private latest = 0;
+  private stoppedRun: string | null = null;
   private readonly message = byId("stop-message");
 
   constructor(private readonly onStop: () => void) {
@@ -26,6 +27,7 @@ export class StopButton {
       const answer = await sendStop();
       if (attempt !== this.latest) return;
       this.failedAt = null;
+      this.stoppedRun = answer.run?.id ?? null;
       this.say(`${this.inWords(answer)} (${clockTime(pressedAt)})`, "done");
       setTimeout(() => attempt === this.latest && setHidden(this.message, true), SUCCESS_SHOWN_MS);
     } catch (error) {
@@ -36,6 +38,13 @@ export class StopButton {
       this.say(`${what} – use the hardware switch. ${clockTime(pressedAt)}: ${why}.`, "failed");
     } finally {
       if (attempt === this.latest) setAttribute(byId("stop"), "aria-busy", "false");
+    }
+  }
+
+  /** What a stop did is no longer true once another run moves the motor. */
+  render(runningRun: string | null): void {
+    if (runningRun !== null && runningRun !== this.stoppedRun && this.message.dataset.outcome === "done") {
+      setHidden(this.message, true);
     }
   }
 
