@@ -57,6 +57,8 @@ class GraspTracker:
         self._detection = detection
         self._stretch = stretch_deg_per_volt
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=BACKDATE_SAMPLES)  # command, strain, encoder
+        self._last_strain_v: deque[float] = deque(maxlen=SMOOTH_SAMPLES)
+        self._last_encoder_deg: deque[float] = deque(maxlen=SMOOTH_SAMPLES)
         self._on = 0
         self._off = 0
         self.in_grasp = False
@@ -68,6 +70,8 @@ class GraspTracker:
         if not self._recent:
             self.grasp.encoder_zero_deg = encoder_deg
         self._recent.append((command_v, strain_v, encoder_deg))
+        self._last_strain_v.append(strain_v)
+        self._last_encoder_deg.append(encoder_deg)
         self._follow_command(tick, command_v)
         if not self.in_grasp:
             return 0
@@ -153,6 +157,5 @@ class GraspTracker:
 
     def _smoothed(self) -> tuple[float, float]:
         """Medians of the last few strain and encoder samples: single-sample spikes do not count."""
-        last = list(self._recent)[-SMOOTH_SAMPLES:]
-        middle = len(last) // 2
-        return sorted(strain for _, strain, _ in last)[middle], sorted(encoder for _, _, encoder in last)[middle]
+        middle = len(self._last_strain_v) // 2
+        return sorted(self._last_strain_v)[middle], sorted(self._last_encoder_deg)[middle]

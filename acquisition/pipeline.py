@@ -121,7 +121,7 @@ class Pipeline:
         self._displacements = displacement[-KEPT_DISPLACEMENTS:]
         held = samples["contact_tick"] >= 0
         result = np.full(len(samples), np.nan)
-        for grasp in np.unique(samples["grasp"][held]):
+        for grasp in sorted({*samples["grasp"][held].tolist()}):
             own = held & (samples["grasp"] == grasp)
             if grasp != self._contact_of:
                 first = int(np.argmax(own))
