@@ -1,5 +1,5 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test bench dashboard wire lock clean
+.PHONY: run test bench dashboard screenshots wire lock clean
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
@@ -22,6 +22,9 @@ bench: $(VENV)/.installed app/static/index.html ## measure; prints the table, wr
 	$(BIN)/python -m tests.benchmarks
 
 dashboard: app/static/index.html ## build the dashboard
+
+screenshots: $(VENV)/.installed app/static/index.html ## renew the picture in the README (needs Chromium)
+	$(BIN)/python tests/screenshots.py
 
 wire: $(VENV)/.installed ## renew the schema that the dashboard's types are generated from
 	$(BIN)/python -m app.wire_schema

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -187,6 +188,7 @@ class _progress:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         self._bar = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
         self._task = self._bar.add_task(title, total=total)
+        self._due_s = 0.0
 
     def __enter__(self) -> "_progress":
         self._bar.start()
@@ -196,7 +198,9 @@ class _progress:
         self._bar.stop()
 
     def __call__(self, done: float) -> None:
-        self._bar.update(self._task, completed=done)
+        if not self._bar.disable and time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + 0.1
+            self._bar.update(self._task, completed=done)
 
 
 def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
