@@ -100,3 +100,17 @@ def test_every_run_is_tared_anew():
         samples = turns(acquisition, 400)
         rest = samples["jaw_force_n"][250:480]  # tared, before the command leaves zero
         assert abs(rest.mean()) < 4 * 0.0124 / np.sqrt(200)
+
+
+def test_a_strain_gage_that_cannot_be_tared_ends_the_run_before_the_motor_moves():
+    calibration = TOOL.calibration.model_copy(update={"rest_offset_v": 0.5})  # the board's gage rests at 0.82 V
+    _, source = rig()
+    drifted = TOOL.model_copy(update={"calibration": calibration})
+    with source:
+        acquisition = Acquisition(source, drifted, SETTINGS.conditioning)
+        acquisition.start("a", PROTOCOL, 1)
+        samples = turns(acquisition, 300)
+        (ended,) = acquisition.take_ended()
+        assert ended.end is RunEnd.FAILED
+        assert "not tared" in ended.why
+        assert not samples["motor_command_v"].any()
