@@ -63,7 +63,6 @@ class GraspTracker:
         self._off = 0
         self.in_grasp = False
         self.grasp = _Grasp(index=0, start_tick=-1, encoder_zero_deg=0.0, known_tick=0)
-        self.walked = False
 
     def update(self, tick: int, command_v: float, strain_v: float, encoder_deg: float, touched: bool) -> int:
         """Take one sample (strain tared); returns its flags."""
@@ -107,8 +106,8 @@ class GraspTracker:
             start, encoder_zero = start + 1, encoder_deg
         start -= 1
         walk = abs(encoder_zero - self.grasp.encoder_zero_deg)
-        self.walked = self.grasp.index > 0 and walk > self._detection.walk_deg
-        self.grasp = _Grasp(self.grasp.index + 1, tick - start, encoder_zero, tick, slips=self.walked)
+        walked = self.grasp.index > 0 and walk > self._detection.walk_deg
+        self.grasp = _Grasp(self.grasp.index + 1, tick - start, encoder_zero, tick, slips=walked)
         self.in_grasp = True
 
     def _look_for_contact(self, tick: int, touched: bool) -> None:

@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from app.wire import FRAME_HEADER, FRAME_MAGIC, ChannelInfo
+from app.wire import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
 
 SAMPLE_COLUMNS = {
     "strain_v": "V",
@@ -18,8 +18,6 @@ SAMPLE_COLUMNS = {
 }
 ESTIMATE_COLUMNS = {"threshold_n": "N", "probability_unknown": ""}
 TISSUE_COLUMNS = {"probability": "", "force_n": "N", "alpha_n": "N", "beta_per_m": "1/m", "damping_kg_per_s": "kg/s"}
-
-LIVE, HISTORY = 0, 1
 
 
 def channels(tissues: list[str]) -> list[ChannelInfo]:
@@ -38,10 +36,10 @@ def columns_of(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.n
     return np.array(rows, np.float32)
 
 
-def pack(kind: int, sequence: int, first_tick: int, newest_ms: float, columns: np.ndarray) -> bytes:
+def pack(kind: FrameKind, sequence: int, first_tick: int, newest_ms: float, columns: np.ndarray) -> bytes:
     """One binary frame, see app/wire.py."""
     header = FRAME_HEADER.pack(
-        FRAME_MAGIC, kind, 1, len(columns), columns.shape[1], sequence, float(first_tick), newest_ms
+        FRAME_MAGIC, FRAME_KINDS[kind], 1, len(columns), columns.shape[1], sequence, float(first_tick), newest_ms
     )
     return header + columns.astype("<f4", copy=False).tobytes()
 
@@ -72,13 +70,13 @@ class FrameBuffer:
             self._kept_samples += columns.shape[1]
         while self._kept_samples > self._history_samples:
             self._kept_samples -= self._kept.popleft()[1].shape[1]
-        return [self._pack(LIVE, first_tick, columns) for first_tick, columns in joined]
+        return [self._pack(FrameKind.LIVE, first_tick, columns) for first_tick, columns in joined]
 
     def history(self) -> list[bytes]:
         """The last seconds as frames."""
-        return [self._pack(HISTORY, tick, columns) for tick, columns in _join_consecutive(list(self._kept))]
+        return [self._pack(FrameKind.HISTORY, tick, columns) for tick, columns in _join_consecutive(list(self._kept))]
 
-    def _pack(self, kind: int, first_tick: int, columns: np.ndarray) -> bytes:
+    def _pack(self, kind: FrameKind, first_tick: int, columns: np.ndarray) -> bytes:
         self._sequence = (self._sequence + 1) % 2**32
         return pack(kind, self._sequence, first_tick, self._newest_ms, columns)
 

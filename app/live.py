@@ -23,7 +23,6 @@ class Viewer:
         self._frames: deque[bytes] = deque(maxlen=FRAMES_KEPT)
         self._unanswered: deque[int] = deque()
         self._work = asyncio.Event()
-        self.dropped_frames = 0
         self.overrun = False
 
     def send(self, message: str) -> None:
@@ -34,7 +33,6 @@ class Viewer:
         self._work.set()
 
     def send_frame(self, frame: bytes) -> None:
-        self.dropped_frames += len(self._frames) == FRAMES_KEPT
         self._frames.append(frame)
         self._work.set()
 

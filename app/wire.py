@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from config.schema import ToolKind
+from estimator.alarms import Priority
 
 SCHEMA_VERSION = 1
 
@@ -27,6 +28,9 @@ class FrameKind(StrEnum):
 
     LIVE = "live"
     HISTORY = "history"
+
+
+FRAME_KINDS = {FrameKind.LIVE: 0, FrameKind.HISTORY: 1}
 
 
 class Wire(BaseModel):
@@ -49,12 +53,6 @@ class RunState(StrEnum):
     FINISHED = "finished"
     STOPPED = "stopped"
     FAILED = "failed"
-
-
-class Priority(StrEnum):
-    LOW = "low"
-    MEDIUM = "medium"
-    HIGH = "high"
 
 
 class AlarmKind(StrEnum):

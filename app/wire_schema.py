@@ -29,7 +29,6 @@ SENT_BY_BROWSER = {"RunRequest": wire.RunRequest, "FrameReceived": wire.FrameRec
 
 # Fields of `FRAME_HEADER`, in order
 HEADER_FIELDS = ("magic", "kind", "stride", "columns", "rows", "sequence", "first_tick", "newest_ms")
-FRAME_KINDS = {wire.FrameKind.LIVE: 0, wire.FrameKind.HISTORY: 1}
 
 
 class _ForTypeScript(GenerateJsonSchema):
@@ -73,7 +72,7 @@ def frame_layout() -> dict[str, Any]:
         "magic": wire.FRAME_MAGIC.decode("ascii"),
         "format": wire.FRAME_HEADER.format,
         "header_bytes": wire.FRAME_HEADER.size,
-        "kinds": {str(kind): code for kind, code in FRAME_KINDS.items()},
+        "kinds": {str(kind): code for kind, code in wire.FRAME_KINDS.items()},
         "offsets": dict(zip(HEADER_FIELDS, offsets, strict=True)),
     }
 
