@@ -58,6 +58,7 @@ class Geometry(Model):
     l2_m: Positive
     l_jaw_m: Positive
     beta0_deg: Positive
+    opening_m: Positive | None = None  # gap between the open jaws; without it thickness is no evidence
 
 
 class Calibration(Model):
@@ -181,6 +182,7 @@ class Spread(Model):
     log_alpha: Positive
     log_beta: Positive
     log_damping: Positive
+    log_thickness: Positive = 0.2
 
 
 class TissueProfile(Model):
@@ -325,10 +327,11 @@ class Conditioning(Model):
 class Identification(Model):
     """When a tissue is named, and what is believed before any data."""
 
-    decide_at: Probability = 0.7
-    withdraw_below: Probability = 0.6
+    decide_at: Probability = 0.95
+    withdraw_below: Probability = 0.85
     confirm_s: NonNegative = 0.03
-    prior_unknown: Probability = 0.02
+    prior_unknown: Probability = 0.05
+    use_thickness: bool = True
     unknown_spread_log: Positive = 2.5
     convergence_error: Probability = 0.15
 

@@ -1,73 +1,37 @@
 """The simulated grasper: motor command in, raw sensor volts and degrees out, one sample a call."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from acquisition.calibration import from_jaw, to_jaw
+from acquisition.simulation.tissue import EXACT, Deviation, Material, Specimen, squeeze
 from config.errors import ConfigurationError
 from config.schema import TissueLibrary, Tool
 
-SUBSTEPS = 5  # stable up to 1e6 N/m on 5 g
 TOUCHED_V = 5.0
 SHUT_SHARE = 0.98  # of the thickness, or of what the linkage can reach: the jaws are shut
 OPENING_BELOW_N = 0.02
 REST_SCATTER_V = 0.005  # rest voltages of the recordings differ by this much
-
-
-@dataclass(frozen=True, slots=True)
-class Specimen:
-    """One piece of tissue: u = m x'' + d x' + alpha (exp(beta x) - 1), Eq. (7)."""
-
-    tissue: str
-    alpha_n: float
-    beta_per_m: float
-    damping_kg_per_s: float
-    mass_kg: float
-    thickness_m: float
-
-
-@njit(cache=True)
-def squeeze(x_m, v_m_per_s, begin_n, end_n, dt_s, alpha_n, beta_per_m, damping_kg_per_s, mass_kg):
-    """Displacement and velocity of tissue after `dt_s` under a force that goes straight from `begin_n` to `end_n`.
-
-    Runge-Kutta, 4th order, of Eq. (7): another method than the estimator's on purpose.
-    """
-    step_s, half_s = dt_s / SUBSTEPS, 0.5 * dt_s / SUBSTEPS
-    for k in range(SUBSTEPS):
-        first_n = begin_n + (end_n - begin_n) * k / SUBSTEPS
-        last_n = begin_n + (end_n - begin_n) * (k + 1) / SUBSTEPS
-        middle_n = 0.5 * (first_n + last_n)
-        v1, a1 = v_m_per_s, _acceleration(x_m, v_m_per_s, first_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg)
-        v2 = v1 + half_s * a1
-        a2 = _acceleration(x_m + half_s * v1, v2, middle_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg)
-        v3 = v1 + half_s * a2
-        a3 = _acceleration(x_m + half_s * v2, v3, middle_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg)
-        v4 = v1 + step_s * a3
-        a4 = _acceleration(x_m + step_s * v3, v4, last_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg)
-        x_m += step_s / 6 * (v1 + 2 * (v2 + v3) + v4)
-        v_m_per_s += step_s / 6 * (a1 + 2 * (a2 + a3) + a4)
-    return x_m, v_m_per_s
-
-
-@njit(cache=True)
-def _acceleration(x_m, v_m_per_s, force_n, alpha_n, beta_per_m, damping_kg_per_s, mass_kg):
-    elastic_n = alpha_n * math.expm1(min(beta_per_m * x_m, 50.0))
-    return (force_n - damping_kg_per_s * v_m_per_s - elastic_n) / mass_kg
+FRICTION_AT_M_PER_S = 1e-3  # jaw speed from which on the cable's friction is whole
+BACKLASH_N = 0.1  # force that tightens the cable
+SLIPPED_SHARE = 0.02  # of the tissue that stays between the jaws after it has slipped
 
 
 class SimulatedGrasper:
     """Command → drive lag → free travel → contact → tissue → inverse of Eqs. (1) to (6) → noisy volts and counts.
 
-    Every grasp holds a new specimen of the tissue, drawn from the profile and its spread with `seed`.
+    Every grasp holds a new specimen of the tissue, drawn from the profile and its spread with `seed`. `deviation` makes
+    truth and sensors differ from what the estimator assumes.
     """
 
-    def __init__(self, tool: Tool, library: TissueLibrary, tissue: str, seed: int) -> None:
+    def __init__(
+        self, tool: Tool, library: TissueLibrary, tissue: str, seed: int, deviation: Deviation = EXACT
+    ) -> None:
         if tool.simulation is None:
             raise ConfigurationError(f"The tool {tool.name!r} has no [simulation] table; it cannot be simulated.")
         self._tool, self._mechanics, self._library = tool, tool.simulation, library
+        self._deviation = deviation
         self._dt_s = 1.0 / tool.board.sample_rate_hz
         self._seed = seed
         sweep = to_jaw(tool, np.zeros(400), np.arange(400.0))
@@ -86,9 +50,11 @@ class SimulatedGrasper:
         self.force_n = 0.0
         self.jaw_m = 0.0
         self.x_m = 0.0
-        self._v_m_per_s = 0.0
+        self._v_m_per_s, self._relaxed_n = 0.0, 0.0
+        self._held_s = 0.0
+        self._phase = 2 * math.pi * float(np.random.default_rng([seed, 2]).random())  # of the tissue's own motion
         self.in_contact = False
-        squeeze(0.0, 0.0, 0.0, 0.0, self._dt_s, 1.0, 1.0, 1.0, 1.0)  # compiled now, not in the first grasp
+        squeeze(0.0, 0.0, 0.0, 0.0, 0.0, self._dt_s, 0.0, self.specimen.material)  # compiled now, not in a grasp
 
     def hold(self, tissue: str) -> None:
         """What the next grasp finds between the jaws."""
@@ -99,21 +65,27 @@ class SimulatedGrasper:
         if command_v != self._command_v:
             self._set_command(command_v)
         self._move()
-        strain_v, encoder_deg = from_jaw(self._tool, self.force_n, self.jaw_m)
-        touch_v = TOUCHED_V if self.in_contact else 0.0
+        strain_v, encoder_deg = from_jaw(self._tool, *self._at_the_handle())
+        touch_v = TOUCHED_V if self.in_contact and self.x_m >= self._deviation.touch_late_m else 0.0
         return self._read_strain(strain_v), self._read_encoder(encoder_deg), touch_v, touch_v
 
+    def _at_the_handle(self) -> tuple[float, float]:
+        """Force and displacement as strain gage and encoder see them through the cable."""
+        off = self._deviation
+        friction = off.friction_share * math.tanh(self._v_m_per_s / FRICTION_AT_M_PER_S)
+        tightened_m = -off.backlash_m * math.expm1(-self.force_n / BACKLASH_N)
+        return self.force_n * off.force_scale * (1.0 + friction), self.jaw_m + tightened_m
+
     def _draw(self) -> Specimen:
-        profile, spread = self._library.tissues[self.tissue], self._library.spread_of(self.tissue)
-        scatter = np.random.default_rng([self._seed, 1, self._grasps]).standard_normal(3) * self._mechanics.spread_scale
-        return Specimen(
-            self.tissue,
-            profile.alpha_n * math.exp(spread.log_alpha * scatter[0]),
-            profile.beta_per_m * math.exp(spread.log_beta * scatter[1]),
-            profile.damping_kg_per_s * math.exp(spread.log_damping * scatter[2]),
-            self._library.mass_kg,
-            profile.thickness_m,
-        )
+        scatter = np.random.default_rng([self._seed, 1, self._grasps]).standard_normal(4) * self._mechanics.spread_scale
+        return Specimen.draw(self._library, self.tissue, scatter.tolist(), self._deviation)
+
+    @property
+    def _free_m(self) -> float:
+        """How far the jaws move before they touch: thick tissue fills them."""
+        opening_m = self._tool.geometry.opening_m
+        least_m = self._mechanics.free_travel_m
+        return least_m if opening_m is None else max(least_m, opening_m - self.specimen.thickness_m)
 
     def _set_command(self, command_v: float) -> None:
         if self._command_v <= 0 and not self.in_contact:  # the jaws close anew
@@ -133,33 +105,49 @@ class SimulatedGrasper:
 
     def _approach(self) -> None:
         """Jaws move freely until they touch."""
-        free_m = self._mechanics.free_travel_m
+        free_m = self._free_m
         self.jaw_m += self.drive_n / self._mechanics.free_drag_kg_per_s * self._dt_s
         self.in_contact = self.jaw_m >= free_m
         self.x_m = max(self.jaw_m - free_m, 0.0)
-        self._v_m_per_s, self.force_n = 0.0, 0.0
+        self._v_m_per_s, self._relaxed_n, self._held_s, self.force_n = 0.0, 0.0, 0.0, 0.0
 
     def _squeeze(self) -> None:
         """The drive's force reaches the tissue through the cable and deforms it; shut jaws take any force."""
         begin_n = self.force_n
         self.force_n += (self.drive_n - self.force_n) * self._contact_share
-        held = self.specimen
-        x_m, v_m_per_s = squeeze(
-            self.x_m, self._v_m_per_s, begin_n, self.force_n, self._dt_s,
-            held.alpha_n, held.beta_per_m, held.damping_kg_per_s, held.mass_kg,
-        )  # fmt: skip
-        shut_m = min(SHUT_SHARE * held.thickness_m, self._reach_m - self._mechanics.free_travel_m)
+        self._held_s += self._dt_s
+        x_m, v_m_per_s, self._relaxed_n = squeeze(
+            self.x_m, self._v_m_per_s, self._relaxed_n, begin_n, self.force_n, self._dt_s, self._moved_m(), self._held()
+        )
+        shut_m = min(SHUT_SHARE * self.specimen.thickness_m, self._reach_m - self._free_m)
         if x_m > shut_m:
             x_m, v_m_per_s = shut_m, 0.0
         self.x_m, self._v_m_per_s = x_m, v_m_per_s
-        self.jaw_m = self._mechanics.free_travel_m + x_m
+        self.jaw_m = self._free_m + x_m
+
+    def _moved_m(self) -> float:
+        """How far the body moves the tissue against the jaws."""
+        off = self._deviation
+        if not off.motion_m:
+            return 0.0
+        turn = 2 * math.pi * off.motion_hz * self._held_s
+        return off.motion_m * (math.sin(turn + self._phase) - math.sin(self._phase))
+
+    def _held(self) -> Material:
+        """What is between the jaws now: less and less where the tissue slips."""
+        material, off = self.specimen.material, self._deviation
+        slipping = (self._held_s - off.slips_after_s) / off.slips_within_s
+        if slipping <= 0:
+            return material
+        share = max(1.0 - slipping, SLIPPED_SHARE)
+        return material._replace(alpha_n=material.alpha_n * share, damping_kg_per_s=material.damping_kg_per_s * share)
 
     def _open(self) -> None:
         """The return spring takes the jaws back; the tissue follows until they leave it."""
         self.jaw_m *= self._opening_share
-        self.x_m = max(self.jaw_m - self._mechanics.free_travel_m, 0.0)
+        self.x_m = max(self.jaw_m - self._free_m, 0.0)
         self.in_contact = self.x_m > 0.0
-        self.force_n, self._v_m_per_s = 0.0, 0.0
+        self.force_n, self._v_m_per_s, self._relaxed_n = 0.0, 0.0, 0.0
 
     def _read_strain(self, strain_v: float) -> float:
         if not self._noise_v:

@@ -1,0 +1,113 @@
+"""What is between the jaws of the simulated grasper, and how it gives way."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from numba import njit
+
+from config.schema import TissueLibrary
+
+SUBSTEPS = 5  # stable up to 1e6 N/m on 5 g
+HUNT_CROSSLEY_AT_N = 1.0  # elastic force at which damping that grows with force equals the profile's
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """How the truth differs from what the estimator assumes; by default not at all."""
+
+    mass_kg: float | None = None  # instead of the library's
+    hunt_crossley: bool = False  # damping in proportion to the elastic force instead of constant
+    relaxed_share: float = 0.0  # of the elastic force that goes while the tissue is held
+    relaxation_s: float = 0.5
+    plateau_n: float = 0.0  # cell walls of a foam that buckle: a force that is there from `plateau_m` on
+    plateau_m: float = 1e-3
+    motion_m: float = 0.0  # breathing or heartbeat move the tissue against the jaws
+    motion_hz: float = 0.25
+    slips_after_s: float = math.inf  # the tissue begins to slide out of the jaws
+    slips_within_s: float = 0.3
+    touch_late_m: float = 0.0  # compression before the touch sensors tell
+    force_scale: float = 1.0  # of the strain gage
+    backlash_m: float = 0.0  # motion the encoder sees and the jaws do not make, while the cable tightens
+    friction_share: float = 0.0  # of the force: the cable's friction, which the strain gage sees with the motion's sign
+
+
+EXACT = Deviation()
+
+
+class Material(NamedTuple):
+    """m x'' + damping + alpha (exp(beta x) - 1) + plateau - relaxed = u; Eq. (7) where the rest is zero."""
+
+    alpha_n: float
+    beta_per_m: float
+    damping_kg_per_s: float
+    mass_kg: float
+    plateau_n: float = 0.0
+    plateau_m: float = 1.0
+    damping_by_force: float = 0.0  # 1: Hunt-Crossley
+    relaxed_share: float = 0.0
+    relaxation_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Specimen:
+    """One piece of tissue, drawn from its profile's spread."""
+
+    tissue: str
+    material: Material
+    thickness_m: float
+
+    @classmethod
+    def draw(cls, library: TissueLibrary, tissue: str, scatter: list[float], deviation: Deviation) -> "Specimen":
+        """`scatter`: deviations of log alpha, log beta, log d and log thickness in standard deviations."""
+        profile, spread = library.tissues[tissue], library.spread_of(tissue)
+        material = Material(
+            profile.alpha_n * math.exp(spread.log_alpha * scatter[0]),
+            profile.beta_per_m * math.exp(spread.log_beta * scatter[1]),
+            profile.damping_kg_per_s * math.exp(spread.log_damping * scatter[2]),
+            deviation.mass_kg or library.mass_kg,
+            deviation.plateau_n,
+            deviation.plateau_m,
+            float(deviation.hunt_crossley),
+            deviation.relaxed_share,
+            deviation.relaxation_s,
+        )
+        return cls(tissue, material, profile.thickness_m * math.exp(spread.log_thickness * scatter[3]))
+
+
+@njit(cache=True)
+def squeeze(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, material):
+    """Displacement, velocity and relaxed force after `dt_s` under a force from `begin_n` straight to `end_n`.
+
+    `moved_m` is how far the tissue has been moved against the jaws. Runge-Kutta, 4th order: another method than the
+    estimator's on purpose.
+    """
+    step_s, half_s = dt_s / SUBSTEPS, 0.5 * dt_s / SUBSTEPS
+    for k in range(SUBSTEPS):
+        first_n = begin_n + (end_n - begin_n) * k / SUBSTEPS
+        last_n = begin_n + (end_n - begin_n) * (k + 1) / SUBSTEPS
+        middle_n = 0.5 * (first_n + last_n)
+        v1 = v_m_per_s
+        a1, r1 = _rates(x_m + moved_m, v1, relaxed_n, first_n, material)
+        v2 = v1 + half_s * a1
+        a2, r2 = _rates(x_m + moved_m + half_s * v1, v2, relaxed_n + half_s * r1, middle_n, material)
+        v3 = v1 + half_s * a2
+        a3, r3 = _rates(x_m + moved_m + half_s * v2, v3, relaxed_n + half_s * r2, middle_n, material)
+        v4 = v1 + step_s * a3
+        a4, r4 = _rates(x_m + moved_m + step_s * v3, v4, relaxed_n + step_s * r3, last_n, material)
+        x_m += step_s / 6 * (v1 + 2 * (v2 + v3) + v4)
+        v_m_per_s += step_s / 6 * (a1 + 2 * (a2 + a3) + a4)
+        relaxed_n += step_s / 6 * (r1 + 2 * (r2 + r3) + r4)
+    return x_m, v_m_per_s, relaxed_n
+
+
+@njit(cache=True)
+def _rates(x_m, v_m_per_s, relaxed_n, force_n, material):
+    """Acceleration, m/s², and how fast the relaxed part of the elastic force grows, N/s."""
+    elastic_n = material.alpha_n * math.expm1(min(material.beta_per_m * x_m, 50.0))
+    if material.plateau_n > 0.0 and x_m > 0.0:
+        elastic_n -= material.plateau_n * math.expm1(-x_m / material.plateau_m)
+    by_force = max(elastic_n, 0.0) / HUNT_CROSSLEY_AT_N
+    damping = material.damping_kg_per_s * (1.0 + material.damping_by_force * (by_force - 1.0))
+    acceleration = (force_n - damping * v_m_per_s - elastic_n + relaxed_n) / material.mass_kg
+    return acceleration, (material.relaxed_share * elastic_n - relaxed_n) / material.relaxation_s
