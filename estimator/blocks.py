@@ -78,6 +78,20 @@ class GraspRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Withdrawal:
+    """A name that a grasp had been given no longer holds; `probability` is what is left of it.
+
+    `why`: what speaks against the grasp itself; None where the samples changed the answer.
+    """
+
+    tick: int
+    grasp: int
+    label: str
+    probability: float
+    why: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class EstimateBlock:
     """The answer to one sample block; `estimates` has one row for each of its samples."""
 
@@ -88,6 +102,7 @@ class EstimateBlock:
     identification: Identification
     ended: tuple[GraspRecord, ...]
     alarms: tuple[ForceAlarm, ...]
+    withdrawn: tuple[Withdrawal, ...] = ()
 
 
 def finite(value: float) -> float | None:

@@ -20,6 +20,10 @@ class ForceErrors:
         """Forget all but the first samples."""
         self._errors = [self._joined()[:samples]]
 
+    def __len__(self) -> int:
+        """How many samples there are."""
+        return len(self._joined())
+
     def _joined(self) -> np.ndarray:
         if len(self._errors) > 1:
             self._errors = [np.concatenate(self._errors)]

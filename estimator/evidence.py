@@ -1,79 +1,120 @@
 """From the bank to a probability for each tissue and for `unknown`.
 
-The filter that fits best gives, as a Gaussian in (log alpha, log beta, log d), what the data say of the parameters;
-that likelihood is moved from the filter's own prior to each tissue's, and to the wide prior of a thing outside
-the library.
-A plain product of each filter's innovation likelihoods commits too early and too surely.
+Of each kind of filter, the one that fits best gives, as a Gaussian in (log alpha, log beta, log d), what the data say
+of the parameters; that likelihood is moved from the filter's own prior to each tissue's, and to the wide prior of a
+thing outside the library. The kinds are weighted by how well they explain the data, and where even the best lenient
+filter is surprised by them, nothing of the library is held. A plain product of each filter's
+innovation likelihoods commits too early and too surely.
+
+How thick the tissue is at contact is further evidence, where the tool senses contact and knows how far its jaws open.
 """
 
 import math
 
 import numpy as np
-from numba import njit
+from scipy.special import log_ndtr
 
-from config.schema import Identification
-from estimator.bank import LOG_ALPHA, Bank
+from config.schema import Identification, TissueLibrary
+from estimator.bank import Bank
+from estimator.compiling import compiled
+from estimator.constants import (
+    FILLED_MARGIN_M,
+    FOLDED_SHARE,
+    MODEL_ERROR_LOG_SD,
+    NIS_TOLERATED,
+    SURPRISE_SAMPLES,
+    SURPRISE_TOLERATED,
+    UNKNOWN_LOG_THICKNESS_SD,
+    UNKNOWN_THICKNESS_M,
+)
+from estimator.filter import LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, WIDENED, likeliest
 
-NIS_TOLERATED = 1.5  # mean normalised innovation squared up to which the model counts as fitting
-MISFIT_PENALTY = 10.0  # log-likelihood that "fits nothing" has to win before it counts
+FLAT_VAR = 1e100  # of a prior that says nothing
 
 
 class Evidence:
     """Probabilities of the library's tissues, in its order, and of `unknown`, last."""
 
-    def __init__(self, bank: Bank, settings: Identification) -> None:
+    def __init__(self, bank: Bank, library: TissueLibrary, settings: Identification) -> None:
         self._bank = bank
         priors = bank.priors
-        centre = priors.mean.mean(axis=0)
-        self._mean = np.vstack([priors.mean, centre])
-        self._var = np.vstack([priors.sd**2, np.full(3, settings.unknown_spread_log**2)])
+        self._mean = np.vstack([priors.mean, priors.mean.mean(axis=0)])
+        self._var = np.vstack([priors.sd**2, np.full(3, settings.unknown_spread_log**2)]) + MODEL_ERROR_LOG_SD**2
         known = (1.0 - settings.prior_unknown) / len(priors.names)
         self._log_prior = np.log([known] * len(priors.names) + [settings.prior_unknown])
+        self._thickness = Thickness(library)
 
     @property
     def prior(self) -> np.ndarray:
-        """Probabilities before any data, (K + 1,)."""
+        """Probabilities before any data, (M + 1,)."""
         return np.exp(self._log_prior)
 
-    def probabilities(self) -> tuple[np.ndarray, int]:
-        """Posterior probabilities, (K + 1,), and which filter fits best (-1: none is valid, all is unknown)."""
+    def of_thickness(self, travel_m: float, opening_m: float) -> np.ndarray:
+        """Log-likelihoods, (M + 1,), of contact after the jaws have closed by `travel_m` from `opening_m`."""
+        return self._thickness.log_likelihood(travel_m, opening_m)
+
+    def probabilities(self, log_likelihood: np.ndarray | float = 0.0) -> np.ndarray:
+        """Posterior probabilities, (M + 1,), given the bank's state and other independent evidence, (M + 1,)."""
         state = self._bank.state
         result = np.empty(len(self._log_prior))
-        best = posterior(
-            state.mean, state.cov, state.log_likelihood, state.nis_sum, state.valid, state.updates[0],
-            self._bank.priors.mean, self._bank.filter_sd**2, self._mean, self._var, self._log_prior, result,
+        posterior(
+            state.mean, state.cov, state.fit, state.valid, state.taken[0], state.surprise[0], self._bank.priors.mean,
+            self._bank.filter_sd**2, self._mean, self._var, self._log_prior + log_likelihood, result,
         )  # fmt: skip
-        return result, best
+        return result
 
 
-@njit(cache=True)
-def posterior(
-    mean, cov, log_likelihood, nis_sum, valid, updates, guess, guess_var, tissue_mean, tissue_var, log_prior, result
-):  # fmt: skip
-    """Write the posterior into `result`; returns the index of the best filter or -1."""
-    best = -1
-    for k in range(len(mean)):
-        if valid[k] and (best < 0 or log_likelihood[k] > log_likelihood[best]):
-            best = k
-    if best < 0 or updates == 0:
-        result[:] = 0.0
-        result[-1] = 1.0
-        return best
-    misfit = max(nis_sum[best] / updates / NIS_TOLERATED, 1.0)
-    information, peak = likelihood_of_parameters(mean[best], cov[best], guess[best], guess_var[best], misfit)
-    for j in range(len(result)):
-        result[j] = log_prior[j] + moved_evidence(information, peak, tissue_mean[j], tissue_var[j])
-    won = 0.5 * updates * (misfit - 1.0 - math.log(misfit)) - MISFIT_PENALTY
-    result[-1] += max(won, 0.0)
+class Thickness:
+    """What the gap between the jaws at first contact says of the tissues of a library, and of none of them."""
+
+    def __init__(self, library: TissueLibrary) -> None:
+        thickness_m = [profile.thickness_m for profile in library.tissues.values()]
+        sd = [library.spread_of(name).log_thickness for name in library.tissues]
+        self._log_mean = np.log([*thickness_m, UNKNOWN_THICKNESS_M])
+        self._sd = np.array([*sd, UNKNOWN_LOG_THICKNESS_SD])
+
+    def log_likelihood(self, travel_m: float, opening_m: float) -> np.ndarray:
+        """Of each tissue and of unknown, (M + 1,). Tissue that fills the jaws is at least as thick as they open."""
+        if travel_m < FILLED_MARGIN_M:
+            at_least = math.log(max(opening_m - FILLED_MARGIN_M, FILLED_MARGIN_M))
+            own = log_ndtr((self._log_mean - at_least) / self._sd)
+        else:
+            gap = math.log(max(opening_m - travel_m, FILLED_MARGIN_M / 10))
+            own = -0.5 * ((gap - self._log_mean) / self._sd) ** 2 - np.log(self._sd * math.sqrt(2 * math.pi))
+        return np.logaddexp(math.log(1 - FOLDED_SHARE) + own, math.log(FOLDED_SHARE) + own[-1])
+
+
+@compiled
+def posterior(mean, cov, fit, valid, taken, surprise, guess, guess_var, tissue_mean, tissue_var, log_prior, result):
+    """Write the posterior probabilities into `result`, (M + 1,); all is unknown where no filter is valid."""
+    tissues = len(guess)
+    result[:] = -np.inf
+    for first in range(0, len(mean), tissues):
+        best = likeliest(first, first + tissues, fit, valid)
+        if best >= 0:
+            # widening by f leaves an f-th of all that was known, of the prior too
+            own, own_var = guess[best - first], guess_var[best - first] * min(fit[best, WIDENED], FLAT_VAR)
+            misfit = max(fit[best, NIS_SUM] / max(taken - 1, 1) / NIS_TOLERATED, 1.0)
+            information, vector = likelihood_of_parameters(mean[best], cov[best], own, own_var)
+            common = fit[best, LOG_LIKELIHOOD] - moved_evidence(information, vector, own, own_var)
+            information /= misfit
+            vector /= misfit
+            for j in range(len(result)):
+                value = common + log_prior[j] + moved_evidence(information, vector, tissue_mean[j], tissue_var[j])
+                result[j] = np.logaddexp(result[j], value)
+    excess = max(surprise / SURPRISE_TOLERATED, 1.0)
+    result[-1] += 0.5 * SURPRISE_SAMPLES * (excess - 1.0 - math.log(excess))
+    if not np.isfinite(result.max()):
+        result[:] = -np.inf
+        result[-1] = 0.0
     normalise(result)
-    return best
 
 
-@njit(cache=True)
-def likelihood_of_parameters(mean, cov, guess, guess_var, misfit):
+@compiled
+def likelihood_of_parameters(mean, cov, guess, prior_var):
     """What the data alone say: information matrix (3, 3) and information vector (3,) of the log parameters.
 
-    The filter's posterior divided by its prior; a model that fits badly is believed less, by `misfit`.
+    The filter's posterior divided by what is left of its prior; positive semi-definite.
     """
     inner = np.empty((3, 3))
     for i in range(3):
@@ -81,31 +122,57 @@ def likelihood_of_parameters(mean, cov, guess, guess_var, misfit):
             inner[i, j] = cov[LOG_ALPHA + i, LOG_ALPHA + j]
     if not np.linalg.det(inner) > 0.0:  # no proper covariance: nothing is learned from it
         return np.zeros((3, 3)), np.zeros(3)
-    information = np.linalg.inv(inner)
-    vector = information @ mean[LOG_ALPHA : LOG_ALPHA + 3]
+    posterior_information = np.linalg.inv(inner)
+    seen = mean[LOG_ALPHA : LOG_ALPHA + 3]
+    learned = posterior_information.copy()
     for i in range(3):
-        information[i, i] -= 1.0 / guess_var[i]
-        vector[i] -= guess[i] / guess_var[i]
-    return information / misfit, vector / misfit
+        learned[i, i] -= 1.0 / prior_var[i]
+    if moved_evidence(learned, guess, guess, np.full(3, FLAT_VAR)) > -np.inf:
+        return learned, posterior_information @ seen - guess / prior_var
+    # The parameters' walk may have cost more than was learned along some direction: keep those, in units of the prior's
+    # SD, in which something was, about what the filter believes.
+    sd = np.sqrt(prior_var)
+    size, direction = np.linalg.eigh(learned * np.outer(sd, sd))
+    learned[:] = 0.0
+    for i in range(3):
+        if size[i] > 0.0:
+            axis = direction[:, i] / sd
+            learned += size[i] * np.outer(axis, axis)
+    return learned, learned @ seen
 
 
-@njit(cache=True)
+@compiled
 def moved_evidence(information, vector, tissue_mean, tissue_var):
-    """log of the integral of the parameters' likelihood over a Gaussian prior, up to a constant common to all."""
-    joint = information.copy()
-    target = vector.copy()
+    """log of the integral of the parameters' likelihood over a Gaussian prior, up to a constant common to all.
+
+    -inf where the product of both is no density. By a Cholesky factor of the joint information, written out: LAPACK's
+    calls cost more than all filters together.
+    """
     value = 0.0
+    target = np.empty(3)
     for i in range(3):
-        joint[i, i] += 1.0 / tissue_var[i]
-        target[i] += tissue_mean[i] / tissue_var[i]
+        target[i] = vector[i] + tissue_mean[i] / tissue_var[i]
         value -= 0.5 * (tissue_mean[i] ** 2 / tissue_var[i] + math.log(tissue_var[i]))
-    sign, log_det = np.linalg.slogdet(joint)
-    if sign <= 0:
+    a = information[0, 0] + 1.0 / tissue_var[0]
+    if not a > 0.0:
         return -np.inf
-    return value + 0.5 * (target @ np.linalg.solve(joint, target)) - 0.5 * log_det
+    root_a = math.sqrt(a)
+    lower_b, lower_c = information[1, 0] / root_a, information[2, 0] / root_a
+    b = information[1, 1] + 1.0 / tissue_var[1] - lower_b * lower_b
+    if not b > 0.0:
+        return -np.inf
+    root_b = math.sqrt(b)
+    lower_d = (information[2, 1] - lower_b * lower_c) / root_b
+    c = information[2, 2] + 1.0 / tissue_var[2] - lower_c * lower_c - lower_d * lower_d
+    if not c > 0.0:
+        return -np.inf
+    first = target[0] / root_a
+    second = (target[1] - lower_b * first) / root_b
+    third = (target[2] - lower_c * first - lower_d * second) / math.sqrt(c)
+    return value + 0.5 * (first * first + second * second + third * third - math.log(a * b * c))
 
 
-@njit(cache=True)
+@compiled
 def normalise(log_weights):
     """Logarithms of weights to probabilities that sum to 1, in place."""
     log_weights -= log_weights.max()

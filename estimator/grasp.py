@@ -7,16 +7,19 @@ import numpy as np
 
 from acquisition.blocks import Flag
 from config.schema import Identification as Settings
-from estimator.bank import LOG_ALPHA, LOG_DAMPING, Bank, BankState, Contact
+from estimator.bank import Bank, BankState
 from estimator.blocks import GraspRecord, finite
+from estimator.constants import EMPTY_JAWS_M, RELEASED_PEAK_N, RELEASED_SHARE
 from estimator.criteria import ForceErrors
 from estimator.decision import UNDECIDED, UNKNOWN, Decision
 from estimator.evidence import Evidence
+from estimator.filter import PARAMETERS, X
+from estimator.identifier import bank_columns, contact_of
 from estimator.model import force_curve
 
 ENCODER_SLIPS, SATURATED = Flag.ENCODER_SLIPS.value, Flag.SATURATED.value
-UNFELT_FORCE_N = 0.005  # scale of what presses before the back-dated rise of the force begins; see decision 4
-KEPT_STEPS = 100  # calls of `take`, 0.5 s: how far back the jaws may turn out to have been shut
+KEPT_SAMPLES = 500  # how far back the jaws may turn out to have been shut
+KEPT_LEAST = 10  # samples after contact at which the first step may end
 LOST_ALLOWED = 5  # samples that may be missing in a grasp
 
 
@@ -28,80 +31,102 @@ class _Kept:
     bank: BankState
     decision: Decision
     probabilities: np.ndarray
-    best: int
-    taken: int
+    errors: int
+    pressed_m: float
 
 
 class GraspEstimation:
     """Follows one grasp; `take` its samples in steps, `finish` for its record."""
 
     def __init__(
-        self, index: int, start_tick: int, bank: Bank, evidence: Evidence, settings: Settings, rate_hz: float
-    ) -> None:
+        self, index: int, start_tick: int, bank: Bank, evidence: Evidence, settings: Settings, rate_hz: float,
+        *, held_before: bool = False,
+    ) -> None:  # fmt: skip
+        """`held_before`: tissue was touched when the command left zero, so that nobody knows where contact was."""
         self.index, self.start_tick = index, start_tick
-        self._bank, self._evidence = bank, evidence
+        self._bank, self._evidence, self._rate_hz = bank, evidence, rate_hz
         self.names = bank.priors.names
         self.decision = Decision((*self.names, UNKNOWN), settings, rate_hz)
         self.probabilities = evidence.prior
-        self.best = -1
         self.peak_n, self.peak_m = np.nan, np.nan
         self.contact_tick, self._contact_m = -1, np.nan
-        self.over = False  # nothing more to learn: jaws shut, or an encoder that slips
+        self._last_tick = -1  # of the last sample that the filters took
+        self._held_before = held_before
+        self._learned_steel = False
+        self.over = False  # nothing more to learn: jaws shut or opening, or an encoder that slips
         self.flags = 0
         self.lost_samples = 0
+        self._of_thickness: np.ndarray | float = 0.0
         self._errors = ForceErrors(len(self.names), settings.convergence_error)
         self._kept: list[_Kept] = []
-        self._taken = 0
+        self._felt_n = 0.0  # largest mean force of a step, N
 
-    def begin(self, sample: np.void, before_m: np.ndarray, rate_hz: float) -> None:
-        """First sample in contact; `before_m` are the jaw displacements of the samples before it."""
-        sensed = bool(sample["flags"] & Flag.CONTACT_SENSED)
-        approach = (before_m[-1] - before_m[0]) / (len(before_m) - 1) * rate_hz if len(before_m) > 1 else 0.0
+    def begin(
+        self, sample: np.void, before_m: np.ndarray, opening_m: float | None, strain_var: float, *, sensed: bool
+    ) -> None:
+        """First sample in contact; `before_m` are the jaw displacements of the samples before it.
+
+        `sensed`: a trusted touch sensor told it, and not the force. `opening_m`: the gap between the open jaws, None
+        where thickness is to be no evidence. `strain_var`: of the strain gage now, V².
+        """
+        approach = 0.0
+        if len(before_m) > 1 and np.isfinite(before_m).all():
+            approach = (before_m[-1] - before_m[0]) / (len(before_m) - 1) * self._rate_hz
         self.contact_tick, self._contact_m = int(sample["tick"]), float(sample["jaw_displacement_m"])
-        self._bank.start(
-            Contact(
-                float(sample["jaw_force_n"]),
-                float(sample["metre_per_volt"]),
-                0.0 if sensed else float(approach),
-                0.0 if sensed else UNFELT_FORCE_N,
-            )
-        )
+        self._last_tick = self.contact_tick
+        if sensed and opening_m is not None and np.isfinite(self._contact_m):
+            self._of_thickness = self._evidence.of_thickness(self._contact_m, opening_m)
+        self._bank.start(contact_of(sample, float(approach), sensed=sensed), strain_var)
 
     def take(self, samples: np.ndarray, estimates: np.ndarray) -> None:
         """Advance over samples in contact and write their estimates; the probabilities follow at the last one."""
+        columns = bank_columns(samples, self._contact_m, self._last_tick, 1.0 / self._rate_hz)
+        self._last_tick = int(samples["tick"][-1])
         self._kept.append(
             _Kept(
-                int(samples["tick"][0]), self._bank.state.copy(), copy(self.decision), self.probabilities, self.best,
-                self._taken,
+                int(samples["tick"][0]), self._bank.state.copy(), copy(self.decision), self.probabilities,
+                len(self._errors), float(columns[0, 1]),
             )
         )  # fmt: skip
-        del self._kept[:-KEPT_STEPS]
-        force_n = np.ascontiguousarray(samples["jaw_force_n"])
-        displacement = samples["jaw_displacement_m"] - self._contact_m
-        mean, variance = self._bank.advance(
-            force_n, displacement, np.ascontiguousarray(samples["newton_per_volt"]),
-            np.ascontiguousarray(samples["metre_per_volt"]),
-        )  # fmt: skip
-        self._taken += len(samples)
-        parameters = np.exp(mean[:, :, LOG_ALPHA : LOG_DAMPING + 1])
+        while self._kept[0].tick < self._last_tick - KEPT_SAMPLES:
+            del self._kept[0]
+        felt_n = float(columns[:, 0].mean())
+        self._felt_n = max(self._felt_n, felt_n)
+        if self._felt_n > RELEASED_PEAK_N and felt_n < RELEASED_SHARE * self._felt_n:
+            self.over = True
+            return
+        mean, variance = self._bank.advance(columns)
+        parameters = np.exp(mean[:, :, PARAMETERS])
         estimates["alpha_n"], estimates["beta_per_m"] = parameters[:, :, 0], parameters[:, :, 1]
         estimates["damping_kg_per_s"] = parameters[:, :, 2]
-        estimates["log_sd"] = np.sqrt(variance[:, :, LOG_ALPHA : LOG_DAMPING + 1])
-        estimates["force_n"] = force_curve(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, 0])
-        self._errors.add(estimates["force_n"], force_n)
-        self.probabilities, self.best = self._evidence.probabilities()
+        estimates["log_sd"] = np.sqrt(variance[:, :, PARAMETERS])
+        estimates["force_n"] = force_curve(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, X])
+        self._errors.add(estimates["force_n"], columns[:, 0])
+        self.probabilities = self._evidence.probabilities(self._of_thickness)
         self.decision.update(self.probabilities, int(samples["tick"][-1]))
 
-    def shut(self, wall_tick: int) -> None:
+    def shut(self, wall_tick: int, contact_tick: int) -> None:
         """The jaws have been shut since `wall_tick`: take back what was learned from there on, and learn no more."""
         self.over = True
         if not self._kept:
+            if contact_tick >= 0:  # both are told at once
+                self.contact_tick = contact_tick
+                self._hold_nothing(wall_tick)
             return
+        self._learned_steel = self._kept[0].tick > max(wall_tick, self.contact_tick + KEPT_LEAST)
         last = ([kept for kept in self._kept if kept.tick <= wall_tick] or self._kept[:1])[-1]
-        self._bank.state, self.decision, self._taken = last.bank, last.decision, last.taken
-        self.probabilities, self.best = last.probabilities, last.best
-        self._errors.truncate(self._taken)
+        self._bank.state, self.decision = last.bank, last.decision
+        self.probabilities = last.probabilities
+        self._errors.truncate(last.errors)
         self._kept.clear()
+        if last.pressed_m < EMPTY_JAWS_M:
+            self._hold_nothing(wall_tick)
+
+    def _hold_nothing(self, wall_tick: int) -> None:
+        """Jaw on jaw."""
+        self.probabilities = np.zeros_like(self.probabilities)
+        self.probabilities[-1] = 1.0
+        self.decision.label, self.decision.decided_tick = UNKNOWN, wall_tick
 
     def why_invalid(self) -> str | None:
         """What speaks against believing this grasp, or None."""
@@ -109,6 +134,10 @@ class GraspEstimation:
             return "encoder slips or walks"
         if self.flags & SATURATED:
             return "the strain gage is saturated"
+        if self._learned_steel:
+            return "the jaws were shut before it could be told"
+        if self._held_before:
+            return "tissue was still held from before the grasp"
         if self.contact_tick < 0:
             return "no contact with tissue was found"
         if self.lost_samples > LOST_ALLOWED:
@@ -124,27 +153,29 @@ class GraspEstimation:
     def named_probabilities(self) -> dict[str, float]:
         return dict(zip((*self.names, UNKNOWN), map(float, self.probabilities), strict=True))
 
-    def time_to_decision_s(self, rate_hz: float) -> float | None:
+    def time_to_decision_s(self) -> float | None:
         if self.label == UNDECIDED:
             return None
-        return (self.decision.decided_tick - self.contact_tick) / rate_hz
+        return (self.decision.decided_tick - self.contact_tick) / self._rate_hz
 
-    def criteria(self, rate_hz: float) -> tuple[dict[str, float | None], dict[str, float | None]]:
+    def criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
         """The paper's convergence time (s after contact) and mean force error (N) of each filter."""
-        convergence = self._errors.convergence_samples() / rate_hz
+        convergence = self._errors.convergence_samples() / self._rate_hz
         error = self._errors.mean_error_n()
         return (
             dict(zip(self.names, map(finite, convergence), strict=True)),
             dict(zip(self.names, map(finite, error), strict=True)),
         )
 
-    def finish(self, end_tick: int, rate_hz: float) -> GraspRecord:
+    def finish(self, end_tick: int) -> GraspRecord:
         """The record of the grasp that ended at `end_tick`."""
-        convergence, error = self.criteria(rate_hz)
+        convergence, error = self.criteria()
+        rate_hz = self._rate_hz
         label, probabilities = self.label, self.named_probabilities()
         parameters = [np.nan] * 3
-        if self.best >= 0 and self._bank.is_believed(self.best):
-            parameters = np.exp(self._bank.state.mean[self.best, LOG_ALPHA : LOG_DAMPING + 1])
+        best = self._bank.best() if self.contact_tick >= 0 else -1
+        if best >= 0:
+            parameters = np.exp(self._bank.state.mean[best, PARAMETERS])
         why_invalid = self.why_invalid()
         return GraspRecord(
             index=self.index,
@@ -154,7 +185,7 @@ class GraspEstimation:
             label=label,
             probability=probabilities.get(label),
             probabilities=probabilities,
-            time_to_decision_s=self.time_to_decision_s(rate_hz),
+            time_to_decision_s=self.time_to_decision_s(),
             alpha_n=finite(parameters[0]),
             beta_per_m=finite(parameters[1]),
             damping_kg_per_s=finite(parameters[2]),

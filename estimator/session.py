@@ -1,5 +1,7 @@
 """From sample blocks to estimate blocks: follows a source from its first sample to its last."""
 
+from collections import deque
+
 import numpy as np
 
 from acquisition.blocks import SAMPLE, Flag, SampleBlock
@@ -7,17 +9,59 @@ from acquisition.contact import BACKDATE_SAMPLES, COMMAND_SAMPLES
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.alarms import ForceAlarm, ForceWarnings
 from estimator.bank import Bank
-from estimator.blocks import EstimateBlock, GraspRecord, Identification, blank_estimates, estimate_dtype, finite
+from estimator.blocks import (
+    EstimateBlock,
+    GraspRecord,
+    Identification,
+    Withdrawal,
+    blank_estimates,
+    estimate_dtype,
+    finite,
+)
+from estimator.constants import REST_LEAST, REST_RANGE, REST_SAMPLES, REST_SETTLES
 from estimator.decision import UNDECIDED
 from estimator.evidence import Evidence
 from estimator.grasp import GraspEstimation
 
-IN_GRASP, CONTACT, INVALID, ENCODER_SLIPS = (
-    Flag.IN_GRASP.value, Flag.CONTACT.value, Flag.INVALID.value, Flag.ENCODER_SLIPS.value,
-)  # fmt: skip
-STEP_SAMPLES = 5  # probabilities are renewed at ticks that are multiples of this, however samples are cut into blocks
+IN_GRASP, CONTACT, CONTACT_SENSED = Flag.IN_GRASP.value, Flag.CONTACT.value, Flag.CONTACT_SENSED.value
+INVALID, ENCODER_SLIPS = Flag.INVALID.value, Flag.ENCODER_SLIPS.value
+APPROACH_SAMPLES = 8  # before contact: how fast the jaws come
+STEP_SAMPLES = 5  # probabilities are renewed at ticks that are multiples of this, and at a block's end
+MEDIAN_STEP = 0.6745 * 2**0.5  # of two samples' difference, in standard deviations of one, if it is Gaussian
 PLAUSIBLE = 0.05  # a tissue at least this probable keeps its threshold in force
 CRITERIA_EVERY = 20  # steps between two evaluations of the paper's criteria for the live view
+
+
+class RestNoise:
+    """The strain gage's noise as it is before a grasp, whatever the tool file says: it ages, and its cable moves."""
+
+    def __init__(self, tool: Tool) -> None:
+        self._stated_v2 = tool.noise.strain_sd_v**2 + tool.noise.strain_lsb_v**2 / 12
+        self._steps_v: deque[float] = deque(maxlen=REST_SAMPLES)
+        self._last_v: float | None = None
+        self._resting = REST_SETTLES  # what comes first in a source is no rest after a grasp
+
+    def take(self, strain_v: list[float], *, at_rest: bool) -> None:
+        """Follow the samples of a step, which counts as in a grasp where its last sample is."""
+        if not at_rest:
+            self._resting, self._last_v = 0, None
+            return
+        for value in strain_v:
+            if not np.isfinite(value):
+                self._last_v = None
+                continue
+            if self._resting >= REST_SETTLES and self._last_v is not None:
+                self._steps_v.append(abs(value - self._last_v))
+            self._resting += 1
+            self._last_v = value
+
+    def variance_v2(self) -> float:
+        """Variance of one sample, V²: from the median step, which neither drift nor spikes disturb."""
+        if len(self._steps_v) < REST_LEAST:
+            return self._stated_v2
+        sd_v = float(np.median(self._steps_v)) / MEDIAN_STEP
+        low, high = REST_RANGE
+        return min(max(sd_v**2, low * self._stated_v2), high * self._stated_v2)
 
 
 class EstimationSession:
@@ -28,13 +72,17 @@ class EstimationSession:
         self._thresholds = {name: library.threshold_n(name) for name in library.tissues}
         self._lowest_n = library.lowest_threshold_n
         self._settings = settings.identification
-        self.bank = Bank(tool, library)
-        self.evidence = Evidence(self.bank, self._settings)
+        self._opening_m = tool.geometry.opening_m if self._settings.use_thickness else None
+        self.bank = Bank.of(tool, library)
+        self.evidence = Evidence(self.bank, library, self._settings)
         self._warnings = ForceWarnings(settings.warnings)
         self._dtype = estimate_dtype(len(library.tissues))
+        self._contact = tool.contact
         self._recent = np.zeros(0, SAMPLE)
+        self._rest = RestNoise(tool)
         self._grasp: GraspEstimation | None = None
         self._in_grasp = False
+        self._told = UNDECIDED  # label of the grasp under way as it was told last
         self._criteria = self._empty_criteria()
         self._last_tick = 0
 
@@ -53,17 +101,19 @@ class EstimationSession:
             self._grasp.lost_samples += int(block.samples["tick"][0]) - self._last_tick - 1
         ended: list[GraspRecord] = []
         alarms: list[ForceAlarm] = []
+        withdrawn: list[Withdrawal] = []
         ends = [*(np.flatnonzero(np.diff(block.samples["tick"] // STEP_SAMPLES)) + 1).tolist(), n]
         begin = 0
         for end in ends:
             rows = estimates[begin:end]
-            self._step(window[: kept + end], rows, ended)
+            self._step(window[: kept + end], rows, ended, withdrawn)
             self._warn(window[kept + begin : kept + end], rows, alarms)
             begin = end
         self._last_tick = int(block.samples["tick"][-1])
         return EstimateBlock(
             block.sequence, block.t_mono_ns, block.lost_samples, estimates,
             self._identification(block.samples), tuple(ended), tuple(alarms),
+            tuple(withdrawn),
         )  # fmt: skip
 
     def finish(self) -> GraspRecord | None:
@@ -71,19 +121,23 @@ class EstimationSession:
         if not (self._in_grasp and self._grasp):
             return None
         self._in_grasp = False
-        return self._grasp.finish(self._last_tick, self._rate_hz)
+        return self._grasp.finish(self._last_tick)
 
-    def _step(self, window: np.ndarray, rows: np.ndarray, ended: list[GraspRecord]) -> None:
+    def _step(
+        self, window: np.ndarray, rows: np.ndarray, ended: list[GraspRecord], withdrawn: list[Withdrawal]
+    ) -> None:
         """The last few samples of `window`: begin, follow or end the grasp they belong to."""
         last = window[-1]
         in_grasp = bool(last["flags"] & IN_GRASP)
+        self._rest.take(window[-len(rows) :]["strain_v"].tolist(), at_rest=not in_grasp)
         if self._in_grasp and self._grasp and (not in_grasp or last["grasp"] != self._grasp.index):
-            ended.append(self._grasp.finish(int(last["tick"]) - COMMAND_SAMPLES + 1, self._rate_hz))
+            ended.append(self._grasp.finish(int(last["tick"]) - COMMAND_SAMPLES + 1))
             self._in_grasp = False
             self._criteria = (ended[-1].convergence_s, ended[-1].force_error_n)
         if in_grasp and not self._in_grasp:
             self._in_grasp = True
             self._criteria = self._empty_criteria()
+            self._told = UNDECIDED
             self._grasp = GraspEstimation(
                 int(last["grasp"]),
                 int(last["grasp_start_tick"]),
@@ -91,9 +145,25 @@ class EstimationSession:
                 self.evidence,
                 self._settings,
                 self._rate_hz,
+                held_before=self._is_touched(window, int(last["grasp_start_tick"])),
             )
         if self._in_grasp and self._grasp:
             self._follow(self._grasp, window, rows)
+            self._withdraw(self._grasp, int(last["tick"]), withdrawn)
+
+    def _withdraw(self, grasp: GraspEstimation, tick: int, withdrawn: list[Withdrawal]) -> None:
+        """Note where the name that was told last does not hold any more, whatever took it away."""
+        told, self._told = self._told, grasp.label
+        if told not in (UNDECIDED, grasp.label):
+            left = grasp.named_probabilities()[told]
+            withdrawn.append(Withdrawal(tick, grasp.index, told, left, grasp.why_invalid()))
+
+    def _is_touched(self, window: np.ndarray, tick: int) -> bool:
+        """Whether a trusted sensor told touch at that tick."""
+        if not self._contact.touch_trusted:
+            return False
+        at = window[min(int(np.searchsorted(window["tick"], tick)), len(window) - 1)]
+        return max(float(at["touch_1_v"]), float(at["touch_2_v"])) > self._contact.touch_threshold_v
 
     def _follow(self, grasp: GraspEstimation, window: np.ndarray, rows: np.ndarray) -> None:
         samples, last = window[-len(rows) :], window[-1]
@@ -101,10 +171,12 @@ class EstimationSession:
         grasp.peak_n = np.fmax(grasp.peak_n, np.fmax.reduce(samples["jaw_force_filtered_n"]))
         grasp.peak_m = np.fmax(grasp.peak_m, np.fmax.reduce(samples["tissue_displacement_m"]))
         if last["wall_tick"] >= 0 and not grasp.over:
-            grasp.shut(int(last["wall_tick"]))
+            grasp.shut(int(last["wall_tick"]), int(last["contact_tick"]))
         grasp.over |= bool(grasp.flags & ENCODER_SLIPS)
         if last["contact_tick"] >= 0 and not grasp.over:
             self._learn(grasp, window, rows)
+        elif grasp.over:
+            grasp.decision.update(grasp.probabilities, int(last["tick"]))  # what is known by now may still be told
         rows["probability"] = grasp.probabilities[:-1]
         rows["probability_unknown"] = grasp.probabilities[-1]
 
@@ -113,11 +185,18 @@ class EstimationSession:
         samples = window[-len(rows) :]
         if grasp.contact_tick < 0:
             since = int(np.searchsorted(window["tick"], window[-1]["contact_tick"]))
-            grasp.begin(window[since], window["jaw_displacement_m"][max(since - 8, 0) : since], self._rate_hz)
-            samples = window[since:]
+            before_m = window["jaw_displacement_m"][max(since - APPROACH_SAMPLES, 0) : since]
+            sensed = bool(window[-1]["flags"] & CONTACT_SENSED)  # a back-dated first sample does not know it yet
+            sound = np.flatnonzero((window["flags"][since:] & INVALID) == 0)
+            if not len(sound):
+                return  # contact is told, but nothing of it can be believed yet
+            first = since + int(sound[0])
+            grasp.begin(window[first], before_m, self._opening_m, self._rest.variance_v2(), sensed=sensed)
+            samples = window[first + 1 :]
             rows = blank_estimates(self._dtype, samples["tick"])  # what is earlier has been published
         sound = (samples["flags"] & INVALID) == 0
         if not sound.all():
+            grasp.lost_samples += int(np.count_nonzero(~sound))
             samples, rows = samples[sound], rows[sound]
         if len(samples):
             grasp.take(samples, rows)
@@ -149,7 +228,7 @@ class EstimationSession:
         held_steps = (int(last["tick"]) - grasp.start_tick) // STEP_SAMPLES if grasp else 0
         every = max(CRITERIA_EVERY, held_steps // CRITERIA_EVERY)  # the longer the grasp, the dearer the look back
         if grasp and self._in_grasp and not grasp.over and step % every == 0:
-            self._criteria = grasp.criteria(self._rate_hz)
+            self._criteria = grasp.criteria()
         probabilities = grasp.named_probabilities() if grasp else {}
         label = grasp.label if grasp else UNDECIDED
         threshold_n, tissue = self._threshold(label)
@@ -161,7 +240,7 @@ class EstimationSession:
             label=label,
             probability=probabilities.get(label),
             probabilities=probabilities,
-            time_to_decision_s=grasp.time_to_decision_s(self._rate_hz) if grasp else None,
+            time_to_decision_s=grasp.time_to_decision_s() if grasp else None,
             force_n=finite(float(last["jaw_force_filtered_n"])),
             peak_force_n=finite(grasp.peak_n) if grasp else None,
             threshold_n=threshold_n,

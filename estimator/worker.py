@@ -13,7 +13,7 @@ from acquisition.process import ask_for_realtime, become_worker, calm_garbage_co
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.alarms import ForceAlarm
 from estimator.bank import Contact
-from estimator.blocks import EstimateBlock, GraspRecord, Identification, estimate_dtype
+from estimator.blocks import EstimateBlock, GraspRecord, Identification, Withdrawal, estimate_dtype
 from estimator.session import EstimationSession
 
 REALTIME_PRIORITY = 70
@@ -67,9 +67,8 @@ def main(setup: Setup) -> None:
 def warm_up(setup: Setup) -> None:
     """Compile the filters, or load them from the cache, before anything depends on them."""
     session = EstimationSession(setup.tool, setup.library, setup.settings)
-    one = np.full(1, 0.01)
-    session.bank.start(Contact(force_n=0.01, metre_per_volt=-0.006))
-    session.bank.advance(one, one * 1e-3, one * 700, -one)
+    session.bank.start(Contact(np.array([0.01, 0.0, 7.0, -0.006, 0.0])))
+    session.bank.advance(np.array([[0.01, 1e-5, 7.0, -0.006, 0.001]]))
     session.evidence.probabilities()
 
 
@@ -83,6 +82,7 @@ def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:
         "identification": asdict(block.identification),
         "ended": [asdict(grasp) for grasp in block.ended],
         "alarms": [asdict(alarm) for alarm in block.alarms],
+        "withdrawn": [asdict(withdrawal) for withdrawal in block.withdrawn],
     }
     return [bus.ESTIMATES, json.dumps(header).encode(), block.estimates.tobytes()]
 
@@ -106,5 +106,6 @@ def unpack_estimates(parts: list[bytes], tissues: int) -> ReceivedEstimates:
         Identification(**header["identification"]),
         tuple(GraspRecord(**grasp) for grasp in header["ended"]),
         tuple(ForceAlarm(**alarm) for alarm in header["alarms"]),
+        tuple(Withdrawal(**withdrawal) for withdrawal in header["withdrawn"]),
     )
     return ReceivedEstimates(block, header["published_ns"], header["missing_blocks"])

@@ -1,10 +1,17 @@
 """Simulated grasps through the real driver and the real conditioning, for the estimator's tests."""
 
+from itertools import pairwise
+
 import numpy as np
 
+from acquisition.blocks import SampleBlock
 from acquisition.control import Acquisition
-from acquisition.simulation.grasper import Specimen
+from acquisition.simulation.tissue import Specimen
 from acquisition.tools import open_tool
+from estimator.bank import Contact
+from estimator.blocks import EstimateBlock, GraspRecord
+from estimator.identifier import bank_columns, contact_of
+from estimator.session import EstimationSession
 
 
 def conditioned(tool, library, settings, protocol, tissue, seed=1, cycles=1) -> tuple[np.ndarray, Specimen]:
@@ -19,8 +26,29 @@ def conditioned(tool, library, settings, protocol, tissue, seed=1, cycles=1) -> 
     return np.concatenate(blocks), grasper.specimen
 
 
-def signals(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What the bank takes: force, displacement, and how strain noise enters both."""
+def signals(samples: np.ndarray, *, sensed: bool = True) -> tuple[Contact, np.ndarray]:
+    """What the bank takes of one grasp: its contact, and the samples after it, (n, 5)."""
     held = samples[samples["contact_tick"] >= 0]
-    names = ("jaw_force_n", "tissue_displacement_m", "newton_per_volt", "metre_per_volt")
-    return tuple(np.ascontiguousarray(held[name]) for name in names)
+    approach_m_per_s = 0.0 if sensed else 0.03
+    contact = contact_of(held[0], approach_m_per_s, sensed=sensed)
+    return contact, bank_columns(held[1:], held["jaw_displacement_m"][0], int(held["tick"][0]), 1e-3)
+
+
+def by(samples: np.ndarray, size: int) -> list[int]:
+    """Where to cut samples into blocks of a size."""
+    return list(range(size, len(samples), size))
+
+
+def processed(
+    session: EstimationSession, samples: np.ndarray, cuts: list[int]
+) -> tuple[list[EstimateBlock], list[GraspRecord]]:
+    """What a session answers to samples that are cut into blocks, and the records of all grasps."""
+    blocks, last_tick = [], int(samples["tick"][0]) - 1
+    for sequence, (begin, end) in enumerate(pairwise([0, *cuts, len(samples)])):
+        part = samples[begin:end]
+        lost = int(part["tick"][0]) - last_tick - 1
+        blocks.append(session.process(SampleBlock(sequence, 0, lost, part)))
+        last_tick = int(part["tick"][-1])
+    records = [record for block in blocks for record in block.ended]
+    last = session.finish()
+    return blocks, records + ([last] if last else [])

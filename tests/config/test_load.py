@@ -243,10 +243,10 @@ def test_a_simulated_tool_needs_its_mechanics(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (("withdraw_below = 0.6", "withdraw_below = 0.8"), "withdraw_below must be lower than decide_at"),
+        (("withdraw_below = 0.85", "withdraw_below = 0.95"), "withdraw_below must be lower than decide_at"),
         (("low = 0.7", "low = 0.95"), "low < medium < high"),
         (("port = 8000", "port = 70000"), "server.port"),
-        (("prior_unknown = 0.02", "prior_unknown = 0.0"), "identification.prior_unknown"),
+        (("prior_unknown = 0.05", "prior_unknown = 0.0"), "identification.prior_unknown"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(tmp_path: Path, change: tuple[str, str], told: str) -> None:

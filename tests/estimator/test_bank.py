@@ -6,131 +6,221 @@ from grasps import conditioned, signals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from config.load import load_library, load_protocol, load_tool
-from estimator.bank import LOG_ALPHA, LOG_BETA, LOG_DAMPING, Bank, Contact
+from acquisition.simulation.tissue import EXACT, Deviation
+from config.load import load_library, load_protocol, load_settings, load_tool
+from estimator import bank as bank_module
+from estimator.bank import Bank, Contact
+from estimator.filter import LOG_LIKELIHOOD, PARAMETERS, STATES
 from estimator.reference import ReferenceBank
+from estimator.studies.grasps import Case, simulate
+from estimator.studies.truths import STRANGERS
 
-TISSUES = ("liver", "small_bowel", "bladder", "gallbladder")
+TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
+TISSUES = tuple(LIBRARY.tissues)
+BY_NOISE = (7.0, -6e-3)  # N and m per volt, as at the simulated tool's jaws
+
+
+def library_of(names):
+    tissues = {**LIBRARY.tissues, **STRANGERS.tissues}
+    return LIBRARY.model_copy(update={"tissues": {name: tissues[name] for name in names}})
+
+
+def started(contact, library=LIBRARY):
+    bank = Bank.of(TOOL, library)
+    bank.start(contact)
+    return bank
+
+
+def columns(force_n, displacement_m):
+    each = np.broadcast_to(np.reshape((*BY_NOISE, 1e-3), (3, 1)), (3, len(force_n)))
+    return np.column_stack([force_n, displacement_m, *each])
+
+
+def simulated(tissue, seed, deviation=EXACT):
+    """One simulated grasp: contact, the samples after it, and the true log parameters."""
+    grasp = simulate(
+        TOOL, LIBRARY, SETTINGS.conditioning, load_protocol("trapezoid_2hz"), Case(tissue, seed, deviation)
+    )
+    material = grasp.specimen.material
+    return *signals(grasp.samples), np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s])
 
 
 @pytest.fixture(scope="module", params=TISSUES)
 def grasp(request):
-    from config.load import load_settings
-
-    tool, library = load_tool("simulated"), load_library("porcine")
-    samples, specimen = conditioned(
-        tool, library, load_settings(), load_protocol("trapezoid_2hz"), request.param, seed=3
-    )
-    return request.param, tool, library, signals(samples), specimen
+    samples, specimen = conditioned(TOOL, LIBRARY, SETTINGS, load_protocol("trapezoid_2hz"), request.param, seed=3)
+    return request.param, samples, specimen
 
 
-def started(tool, library, force_n, metre_per_volt, unfelt_n=0.0):
-    bank = Bank(tool, library)
-    bank.start(Contact(float(force_n[0]), float(metre_per_volt[0]), unfelt_force_n=unfelt_n))
-    return bank
+def followed(bank, samples):
+    """Means and variances of all K filters after each sample, (n, K, 9); NaN once diverged."""
+    shape = (len(samples), len(bank.state.mean), STATES)
+    mean, variance = np.full(shape, np.nan), np.full(shape, np.nan)
+    for i, sample in enumerate(samples):
+        bank.advance(sample[None])
+        sound = bank.state.valid
+        mean[i, sound] = bank.state.mean[sound]
+        variance[i, sound] = np.diagonal(bank.state.cov, axis1=1, axis2=2)[sound]
+    return mean, variance
 
 
-@pytest.mark.parametrize("unfelt_n", [0.0, 0.005], ids=["contact sensed", "contact found from the force"])
-def test_agrees_with_the_independent_bank_on_filterpy(grasp, unfelt_n):
-    _, tool, library, (force, x, by_force, by_x), _ = grasp
-    first = slice(0, 250)
-    ours = started(tool, library, force, by_x, unfelt_n)
+@pytest.mark.parametrize("sensed, jump_m", [(True, 0.0), (False, 0.0), (True, 1e-4)],
+                         ids=["contact sensed", "contact found from the force", "a jump"])  # fmt: skip
+def test_agrees_with_the_independent_bank_on_filterpy(grasp, sensed, jump_m):
+    """Over second passes, samples without learning, and a jump of 8 SD at which the covariance is widened.
+
+    Worst difference seen: 1e-9 of a standard deviation, 1e-11 for most. Bladder's filters on liver and small bowel are
+    the exception: they swing through exp(beta x) of 1e4 before they are near, which magnifies rounding to 5e-4.
+    """
+    tissue, samples, _ = grasp
+    contact, after = signals(samples, sensed=sensed)
+    brief = jump_m or not sensed
+    after = after[: 75 if brief else 260 if tissue == "gallbladder" else 150].copy()  # filterpy is slow
+    after[30:, 1] += jump_m
+    ours = started(contact)
     theirs = ReferenceBank(ours)
-    mean, variance = ours.advance(force[first], x[first], by_force[first], by_x[first])
-    with np.errstate(all="ignore"):  # a diverged filter of the reference is not stopped
-        reference_mean, reference_variance = theirs.advance(force[first], x[first], by_force[first], by_x[first])
-    fits = ours.state.nis_sum / ours.state.updates[0] < 5
-    assert fits.any()
-    for k, close in enumerate(np.where(fits, 1e-9, 1e-3)):
-        # a filter that is driven far from its tissue swings through exp(beta x) of 1e4 and more: rounding grows there
-        sound = np.isfinite(mean[:, k])
-        difference = np.abs(mean - reference_mean)[:, k][sound] / np.sqrt(reference_variance[:, k][sound])
-        assert difference.max(initial=0.0) < close
-        assert np.allclose(variance[:, k][sound], reference_variance[:, k][sound], rtol=close)
+    mean, variance = followed(ours, after)
+    with np.errstate(all="ignore"):  # a filter that diverges overflows
+        reference_mean, reference_variance = theirs.advance(after)
+    assert brief or not all(theirs.rising)
+    for k, name in enumerate(2 * TISSUES):
+        swings = name == "bladder" and tissue in ("liver", "small_bowel")
+        if swings and jump_m:
+            continue
+        close = 1e-2 if swings else 1e-8
+        assert np.array_equal(np.isfinite(mean[:, k]), np.isfinite(reference_mean[:, k]))
+        sound = np.isfinite(mean[:, k, 0])
+        sd = np.sqrt(reference_variance[:, k][sound])
+        assert np.all(np.abs(mean - reference_mean)[:, k][sound] <= close * sd)
+        assert np.allclose(variance[:, k][sound], reference_variance[:, k][sound], rtol=close, atol=0)
+        if sound.all() and not swings:
+            assert ours.state.fit[k, LOG_LIKELIHOOD] == pytest.approx(theirs.filters[k].log_likelihood_sum, abs=1e-6)
 
 
-def test_the_right_filter_finds_the_specimen(grasp):
-    tissue, tool, library, (force, x, by_force, by_x), specimen = grasp
-    bank = started(tool, library, force, by_x)
-    bank.advance(force, x, by_force, by_x)
-    k = TISSUES.index(tissue)
-    truth = np.log([specimen.alpha_n, specimen.beta_per_m, specimen.damping_kg_per_s])
-    error = bank.state.mean[k, LOG_ALPHA : LOG_DAMPING + 1] - truth
-    sd = np.sqrt(np.diag(bank.state.cov[k])[LOG_ALPHA : LOG_DAMPING + 1])
-    assert np.all(np.abs(error) < 5 * sd)
-    stiffness_error = bank.state.mean[k, LOG_ALPHA] + bank.state.mean[k, LOG_BETA] - truth[:2].sum()
-    assert abs(stiffness_error) < 0.25  # alpha·beta is what force and displacement fix best
+def test_the_right_filters_find_the_specimen(grasp):
+    tissue, samples, specimen = grasp
+    contact, after = signals(samples)
+    bank = started(contact)
+    bank.advance(after)
+    truth = np.log([specimen.material.alpha_n, specimen.material.beta_per_m, specimen.material.damping_kg_per_s])
+    own = TISSUES.index(tissue)
+    for k in (own, own + len(TISSUES)):
+        error = bank.state.mean[k, PARAMETERS] - truth
+        sd = np.sqrt(np.diag(bank.state.cov[k])[PARAMETERS])
+        assert np.all(np.abs(error) < 5 * sd)
+        assert abs(error[0] + error[1]) < 0.25  # alpha·beta is what force and displacement fix best
 
 
 def test_the_right_filters_innovations_are_white(grasp):
-    """A right noise model: the mean normalised innovation squared is 1 (SD of its mean sqrt(2/n) = 0.06)."""
-    tissue, tool, library, (force, x, by_force, by_x), _ = grasp
-    bank = started(tool, library, force, by_x)
-    bank.advance(force, x, by_force, by_x)
-    nis = bank.state.nis_sum / bank.state.updates[0]
-    assert 0.7 < nis[TISSUES.index(tissue)] < 1.3
+    """A right noise model: the mean normalised innovation squared is 1 (SD of its mean over 700 samples 0.05).
+
+    Strict. A lenient filter allows for what this specimen does not do: it must not be surprised.
+    """
+    tissue, samples, _ = grasp
+    contact, after = signals(samples)
+    bank = started(contact)
+    bank.advance(after)
+    own = TISSUES.index(tissue)
+    assert 0.7 < bank.misfit()[own] < 1.3
+    assert 0.4 < bank.misfit()[own + len(TISSUES)] < 1.3
 
 
-@settings(max_examples=25, deadline=None)
-@given(cuts=st.lists(st.integers(1, 299), max_size=6), seed=st.integers(0, 2**31))
+@pytest.mark.parametrize("tissue", ["liver", "small_bowel", "gallbladder"])
+def test_the_data_say_which_kind_of_filter_is_right(tissue):
+    """Bladder is left out: 30 % of its force is less than what even the lenient filters' damping is wrong by."""
+    own, after_s = TISSUES.index(tissue), 0.3
+    for deviation, lenient_wins in ((EXACT, False), (Deviation(relaxed_share=0.3), True)):
+        for seed in range(3):
+            contact, after, _ = simulated(tissue, seed, deviation)
+            bank = started(contact)
+            bank.advance(after[: int(after_s * TOOL.board.sample_rate_hz)])
+            strict, lenient = bank.state.fit[[own, own + len(TISSUES)], LOG_LIKELIHOOD]
+            assert (lenient > strict) == lenient_wins
+
+
+def test_second_passes_bring_the_parameters_nearer_to_the_truth(monkeypatch):
+    """Mean error over 32 grasps, in standard deviations of the tissue's spread, by the tissue's own strict filter."""
+    error = {}
+    for passes, at in {"one": np.array([1 << 40]), "several": bank_module.SECOND_PASS_AT}.items():
+        each = []
+        for own, tissue in enumerate(TISSUES):
+            for seed in range(8):
+                contact, after, truth = simulated(tissue, seed)
+                bank = started(contact)
+                monkeypatch.setattr(bank_module, "SECOND_PASS_AT", at)
+                bank.advance(after[:300])
+                monkeypatch.undo()
+                each.append(np.abs(bank.state.mean[own, PARAMETERS] - truth) / bank.priors.sd[own])
+        error[passes] = np.mean(each, axis=0)
+    assert np.all(error["several"] < 0.9 * error["one"])
+
+
+@settings(max_examples=25)
+@given(cuts=st.lists(st.integers(1, 298), max_size=6), seed=st.integers(0, 2**31))
 def test_the_result_does_not_depend_on_how_samples_are_cut(cuts, seed):
-    tool, library = load_tool("simulated"), load_library("porcine")
     rng = np.random.default_rng(seed)
-    force, x = np.linspace(0, 1.5, 300) + rng.normal(0, 0.015, 300), np.linspace(0, 5e-4, 300)
-    by_force, by_x = np.full(300, 7.0), np.full(300, -6e-3)
-    whole, pieces = started(tool, library, force, by_x), started(tool, library, force, by_x)
-    mean, _ = whole.advance(force, x, by_force, by_x)
-    edges = [0, *sorted(set(cuts)), 300]
-    parts = [pieces.advance(force[a:b], x[a:b], by_force[a:b], by_x[a:b])[0] for a, b in itertools.pairwise(edges)]
-    assert np.array_equal(np.concatenate(parts), mean, equal_nan=True)
+    after = columns(np.linspace(0, 1.5, 299) + rng.normal(0, 0.015, 299), np.linspace(0, 5e-4, 299))
+    contact = Contact(np.array([0.0, 0.0, *BY_NOISE, 0.0]))
+    whole, pieces = started(contact), started(contact)
+    mean, variance = whole.advance(after)
+    parts = [pieces.advance(after[a:b]) for a, b in itertools.pairwise([0, *sorted(set(cuts)), 299])]
+    assert np.array_equal(np.concatenate([part[0] for part in parts]), mean, equal_nan=True)
+    assert np.array_equal(np.concatenate([part[1] for part in parts]), variance, equal_nan=True)
+    assert np.array_equal(whole.state.cov, pieces.state.cov, equal_nan=True)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**31),
     peak=st.floats(0.05, 5.0),
     travel=st.floats(1e-6, 1e-2),
     noise=st.floats(0.0, 0.1),
+    names=st.lists(st.sampled_from([*LIBRARY.tissues, *STRANGERS.tissues]), min_size=1, max_size=7, unique=True),
 )
-def test_covariances_stay_symmetric_and_positive_whatever_comes(seed, peak, travel, noise):
-    tool, library = load_tool("simulated"), load_library("porcine")
+def test_covariances_stay_symmetric_and_positive_whatever_comes(seed, peak, travel, noise, names):
     rng = np.random.default_rng(seed)
     ramp = np.minimum(np.linspace(0, 3, 400), 1.0)
-    force, x = peak * ramp + rng.normal(0, noise, 400), travel * ramp + rng.normal(0, noise * 1e-3, 400)
-    bank = started(tool, library, force, np.full(400, -6e-3))
-    mean, variance = bank.advance(force, x, np.full(400, 7.0), np.full(400, -6e-3))
-    assert (variance[np.isfinite(variance)] > 0).all()
+    after = columns(peak * ramp + rng.normal(0, noise, 400), travel * ramp + rng.normal(0, noise * 1e-3, 400))
+    bank = started(Contact(np.array([0.0, 0.0, *BY_NOISE, 0.0])), library_of(names))
+    mean, variance = bank.advance(after)
     assert np.array_equal(np.isfinite(mean), np.isfinite(variance))
-    for k, sound in enumerate(bank.state.valid):
-        if sound:
-            cov = bank.state.cov[k]
-            assert np.array_equal(cov, cov.T)
-            scale = np.sqrt(np.diag(cov))
-            assert np.linalg.eigvalsh(cov / np.outer(scale, scale)).min() > -1e-6
+    assert (variance[np.isfinite(variance)] >= 0).all()
+    for cov in bank.state.cov[bank.state.valid]:
+        assert np.array_equal(cov, cov.T)
+        known = np.diag(cov) == 0  # a strict filter knows of no drift
+        assert not cov[known].any()
+        sd = np.sqrt(np.diag(cov)[~known])
+        assert (
+            np.linalg.eigvalsh(cov[np.ix_(~known, ~known)] / np.outer(sd, sd)).min() > -1e-6
+        )  # rounding of 1e-16/1e-10
 
 
-def test_a_filter_fed_with_nonsense_is_marked_invalid_not_shown(tool, library):
-    n = 300
+def test_filters_fed_with_nonsense_are_marked_invalid_not_shown():
     rng = np.random.default_rng(0)
-    force, x = rng.uniform(-50, 50, n), rng.uniform(-0.02, 0.02, n)
-    bank = started(tool, library, force, np.full(n, -6e-3))
-    mean, _ = bank.advance(force, x, np.full(n, 7.0), np.full(n, -6e-3))
+    bank = started(Contact(np.array([0.0, 0.0, *BY_NOISE, 0.0])))
+    mean, _ = bank.advance(columns(rng.uniform(-50, 50, 300), rng.uniform(-0.02, 0.02, 300)))
     assert np.isnan(mean[-1]).all()
+    assert bank.best() == -1
 
 
-def test_a_nan_in_the_input_never_comes_out_as_an_estimate(tool, library):
-    n = 50
-    force, x = np.linspace(0, 1, n), np.linspace(0, 3e-4, n)
-    x[20] = np.nan
-    bank = started(tool, library, force, np.full(n, -6e-3))
-    mean, _ = bank.advance(force, x, np.full(n, 7.0), np.full(n, -6e-3))
+@pytest.mark.parametrize("column", range(4), ids=["force", "displacement", "N/V", "m/V"])
+def test_a_nan_in_the_input_never_comes_out_as_an_estimate(column):
+    after = columns(np.linspace(0, 1, 50), np.linspace(0, 3e-4, 50))
+    after[20, column] = np.nan
+    bank = started(Contact(np.array([0.0, 0.0, *BY_NOISE, 0.0])))
+    mean, variance = bank.advance(after)
     assert np.isfinite(mean[19]).any()
     assert np.isnan(mean[20:]).all()
+    assert np.isnan(variance[20:]).all()
     assert not bank.state.valid.any()
 
 
-def test_takes_a_library_of_any_size(tool, library):
-    two = library.model_copy(update={"tissues": {k: library.tissues[k] for k in ("liver", "bladder")}})
-    bank = started(tool, two, np.zeros(1), np.full(1, -6e-3))
-    mean, _ = bank.advance(np.zeros(5), np.zeros(5), np.full(5, 7.0), np.full(5, -6e-3))
-    assert mean.shape == (5, 2, 7)
+@pytest.mark.parametrize("names", [TISSUES[3:], TISSUES[2:], TISSUES, (*STRANGERS.tissues, TISSUES[3])[-7:]], ids=len)
+def test_takes_a_library_of_any_size(names):
+    """A tissue's own filter is the same, whatever else is in the library."""
+    contact, after, _ = simulated("gallbladder", 1)
+    bank, whole = started(contact, library_of(names)), started(contact)
+    mean, _ = bank.advance(after[:100])
+    whole_mean, _ = whole.advance(after[:100])
+    assert mean.shape == (100, len(names), STATES)
+    assert np.array_equal(mean[:, -1], whole_mean[:, -1])
+    assert bank.best() % len(names) == len(names) - 1

@@ -1,0 +1,79 @@
+"""What every estimator of a grasp's tissue can do, ours and its rivals; and ours, as one."""
+
+from typing import Protocol
+
+import numpy as np
+
+from config.schema import Identification, TissueLibrary, Tool
+from estimator.bank import Bank, Contact
+from estimator.constants import UNFELT_FORCE_N
+from estimator.evidence import Evidence
+from estimator.filter import PARAMETERS
+
+BANK_COLUMNS = ("jaw_force_n", "jaw_displacement_m", "newton_per_volt", "metre_per_volt")
+
+
+class Identifier(Protocol):
+    """Follows one grasp from contact on."""
+
+    def start(self, first: np.void, contact: Contact) -> None:
+        """Begin at the first sample in contact (dtype SAMPLE)."""
+        ...
+
+    def advance(self, samples: np.ndarray) -> None:
+        """Take the following samples (dtype SAMPLE)."""
+        ...
+
+    def probabilities(self) -> np.ndarray:
+        """Probabilities of the library's tissues and of unknown, (M + 1,)."""
+        ...
+
+    def log_parameters(self) -> np.ndarray:
+        """log alpha, log beta, log d as believed now, (3,); NaN where nothing is believed."""
+        ...
+
+
+def contact_of(first: np.void, velocity_m_per_s: float, *, sensed: bool) -> Contact:
+    """How a grasp starts for the filters, from its first sample and how fast the jaws came."""
+    sample = np.array([*(first[name] for name in BANK_COLUMNS), 0.0])
+    return Contact(sample) if sensed else Contact(sample, velocity_m_per_s, UNFELT_FORCE_N)
+
+
+def bank_columns(samples: np.ndarray, contact_m: float, tick_before: int, dt_s: float) -> np.ndarray:
+    """What the bank takes of samples of dtype SAMPLE, (n, 5): displacement counts from contact, time from each other.
+
+    `tick_before`: of the sample before them, which may lie further back than one: a gap is a longer step.
+    """
+    elapsed_s = np.diff(samples["tick"], prepend=tick_before) * dt_s
+    columns = np.column_stack([*(samples[name] for name in BANK_COLUMNS), elapsed_s])
+    columns[:, 1] -= contact_m
+    return columns
+
+
+class BankIdentifier:
+    """Our own scheme: the bank, and the evidence drawn from it."""
+
+    def __init__(self, bank: Bank, evidence: Evidence, dt_s: float) -> None:
+        self.bank, self._evidence, self._dt_s = bank, evidence, dt_s
+        self._contact_m, self._tick = 0.0, 0
+
+    @classmethod
+    def of(cls, tool: Tool, library: TissueLibrary, settings: Identification) -> "BankIdentifier":
+        """For a library's tissues on a tool."""
+        bank = Bank.of(tool, library)
+        return cls(bank, Evidence(bank, library, settings), 1.0 / tool.board.sample_rate_hz)
+
+    def start(self, first: np.void, contact: Contact) -> None:
+        self._contact_m, self._tick = float(first["jaw_displacement_m"]), int(first["tick"])
+        self.bank.start(contact)
+
+    def advance(self, samples: np.ndarray) -> None:
+        self.bank.advance(bank_columns(samples, self._contact_m, self._tick, self._dt_s))
+        self._tick = int(samples["tick"][-1])
+
+    def probabilities(self) -> np.ndarray:
+        return self._evidence.probabilities()
+
+    def log_parameters(self) -> np.ndarray:
+        best = self.bank.best()
+        return self.bank.state.mean[best, PARAMETERS].copy() if best >= 0 else np.full(3, np.nan)
