@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from app import __version__
+from app import __version__, studies
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, load_library, load_protocol, load_settings, load_tool
 from config.schema import Settings, Tool, ToolKind
@@ -27,6 +27,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 errors = Console(stderr=True, highlight=False)
+app.add_typer(studies.app, name="study")
 
 LibraryOption = Annotated[
     str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
@@ -226,6 +227,8 @@ def _table(document: dict[str, Any]) -> Table:
     table.add_column("Remark")
     for grasp in document["grasps"]:
         probability, decided, peak = grasp["probability"], grasp["time_to_decision_s"], grasp["peak_force_n"]
+        top, share = max(grasp["probabilities"].items(), key=lambda each: each[1])
+        likeliest = f"likeliest: {top.replace('_', ' ')}, {100 * share:.0f} %" if grasp["label"] == "undecided" else ""
         table.add_row(
             str(grasp["index"]),
             f"{grasp['start_s']:.3f} s",
@@ -233,7 +236,7 @@ def _table(document: dict[str, Any]) -> Table:
             "" if probability is None else f"{probability:.0%}",
             "" if decided is None else f"{decided * 1e3:.0f} ms",
             "" if peak is None else f"{peak:.2f} N",
-            grasp["why_invalid"] or REMARKS.get(grasp["label"], ""),
+            grasp["why_invalid"] or REMARKS.get(grasp["label"]) or likeliest,
         )
     return table
 

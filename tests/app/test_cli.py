@@ -182,6 +182,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "strong.toml").write_text(trapezoid.replace("peak_v = 2.0", "peak_v = 3.6"))
     settings = (CONFIG_DIR / "graspwatch.toml").read_text()
     (folder / "bad_settings.toml").write_text(settings.replace("port = 8000", 'port = "http"'))
+    (folder / "hesitant.toml").write_text(settings.replace("decide_at = 0.95", "decide_at = 0.99"))
     (folder / "other_library.toml").write_text(settings.replace('library = "porcine"', 'library = "porcin"'))
     (folder / "cut.lvm").write_text("\n".join([*lvm_text(gallbladder).splitlines()[:1000], "0.976000\t0.82"]))
     return folder
@@ -214,6 +215,20 @@ def test_without_json_it_prints_a_table_with_a_row_for_each_grasp(table: Answer)
 
 def test_a_table_names_every_tissue_in_full_on_a_terminal_of_80_columns(table: Answer) -> None:
     assert "│ gallbladder " in table.out
+
+
+def test_a_table_tells_what_an_undecided_grasp_most_likely_is(folder: Path) -> None:
+    """Liver and small bowel overlap too much for one to be 99 % in each of six grasps."""
+    asked = ("run", "trapezoid_4hz", "--tissue", "liver", "--cycles", "6", "--config", folder / "hesitant.toml")
+    answers = each({"table": asked, "json": (*asked, "--json")})
+    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in answers["table"].out.splitlines()]
+    remarks = [row[-1] for row in rows if row[0].isdigit()]
+    grasps = answers["json"].document["grasps"]
+    assert labels(answers["json"].document)["undecided"] >= 1
+    for grasp, remark in zip(grasps, remarks, strict=True):
+        tissue, share = max(grasp["probabilities"].items(), key=lambda item: item[1])
+        wanted = f"likeliest: {tissue.replace('_', ' ')}, {100 * share:.0f} %"
+        assert remark == (wanted if grasp["label"] == "undecided" else "")
 
 
 def test_a_library_of_ones_own_is_taken_from_its_file(others: dict[str, Answer]) -> None:

@@ -1,0 +1,135 @@
+"""`graspwatch study estimators`: ours, the paper's, an unscented and a particle filter on the same grasps."""
+
+import time
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+
+from estimator.identifier import BankIdentifier, Identifier, contact_of
+from estimator.rivals.particle import ParticleIdentifier
+from estimator.rivals.printed import PrintedIdentifier
+from estimator.rivals.unscented import unscented_identifier
+from estimator.studies.course import Bench, Lab, same_number_of_each, set_up
+from estimator.studies.grasps import Case, Grasp, held_samples, simulate
+from estimator.studies.measures import bayes_limit, reliability, score
+from estimator.studies.report import PALETTE, Figure, Study, Table
+from estimator.studies.runner import Progress, run_cases
+
+TIMES_S = (0.1, 0.15, 0.3)
+OURS = "ours"
+MAKERS = {
+    OURS: BankIdentifier.of,
+    "extended, as printed": PrintedIdentifier,
+    "unscented": unscented_identifier,
+    "particle": ParticleIdentifier,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    tissue: str
+    limit: np.ndarray  # (M,)
+    probabilities: np.ndarray  # (estimators, len(TIMES_S), M + 1)
+    error: np.ndarray  # (estimators, 3) of log alpha, log beta, log d at the last time
+    cost_us: np.ndarray  # (estimators,) a sample
+
+
+def estimators(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int | None = None) -> Study:
+    """Run the study: `grasps` of each tissue, everyone on the same ones, thickness left out."""
+    library = set_up(bench).library
+    names = [*library.tissues]
+    cases = [(bench, case) for case in same_number_of_each(library, grasps, seed)]
+    outcomes = run_cases(_outcome, cases, progress, jobs)
+    truth = np.array([names.index(o.tissue) for o in outcomes])
+    limit = float(np.mean([o.limit.argmax() == t for o, t in zip(outcomes, truth, strict=True)]))
+    answers = np.array([o.probabilities for o in outcomes])  # (n, estimators, times, M + 1)
+    cost = np.median([o.cost_us for o in outcomes], axis=0)
+    study = Study(
+        "estimators",
+        "Which filter",
+        {**asdict(bench), "grasps of each tissue": grasps, "seed": seed},
+        "All follow the same grasps from contact on, and answer after 0.1, 0.15 and 0.3 s. The unscented and the "
+        "particle filter have the states, noise and start of our strict filters, and no lenient ones; the particle "
+        "filter moves particles over the parameters and solves the rest exactly. Times are of the filters alone, "
+        "while the other cores are busy too. The default is ours as long as nobody is better at a bearable cost.",
+    )
+    rows = []
+    for e, name in enumerate(MAKERS):
+        for i, at in enumerate(TIMES_S):
+            found = score(answers[:, e, i], truth)
+            rows.append([f"{name}, {at:g} s", found.accuracy, limit, found.calibration_error, found.confident_wrong,
+                         found.log_loss, float(cost[e])])  # fmt: skip
+    last = [score(answers[:, e, -1], truth) for e in range(len(MAKERS))]
+    best = min(range(len(MAKERS)), key=lambda e: last[e].log_loss)
+    study.figures = [
+        Figure("Bayes limit", 100 * limit, "%", note="without thickness"),
+        *(
+            Figure(f"share right at 0.3 s: {name}", 100 * last[e].accuracy, "%", note=f"{cost[e]:.3g} µs a sample")
+            for e, name in enumerate(MAKERS)
+        ),
+        Figure("lowest log loss at 0.3 s", last[best].log_loss, "", note=[*MAKERS][best]),
+    ]
+    columns = ["estimator, after contact", "share right", "Bayes limit", "calibration error", "confident and wrong",
+               "log loss", "µs a sample"]  # fmt: skip
+    error_rows = []
+    for e, name in enumerate(MAKERS):
+        errors = np.array([o.error[e] for o in outcomes])
+        error_rows.append([name, *(float(v) for v in np.nanmedian(np.abs(np.expm1(errors)), axis=0) * 100),
+                           100 * float(np.isnan(errors).any(axis=1).mean())])  # fmt: skip
+    study.parts = [
+        Table("Share right, honesty and cost", columns, rows),
+        Table("Median error of the likeliest filter's parameters at 0.3 s, %",
+              ["estimator", "alpha", "beta", "d", "without an estimate"], error_rows),
+        ("Reliability at 0.3 s", _reliability(answers[:, :, -1], truth)),
+    ]  # fmt: skip
+    return study
+
+
+def _outcome(job: tuple[Bench, Case]) -> _Outcome:
+    bench, case = job
+    lab = set_up(bench)
+    grasp = simulate(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
+    material = grasp.specimen.material
+    truth = np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s])
+    found = [
+        _follow(make(lab.tool, lab.library, lab.settings.identification), lab, bench, grasp) for make in MAKERS.values()
+    ]
+    return _Outcome(
+        case.tissue,
+        bayes_limit(lab.library, truth, None),
+        np.array([probabilities for probabilities, _, _ in found]),
+        np.array([log_parameters - truth for _, log_parameters, _ in found]),
+        np.array([cost for _, _, cost in found]),
+    )
+
+
+def _follow(identifier: Identifier, lab: Lab, bench: Bench, grasp: Grasp) -> tuple[list[np.ndarray], np.ndarray, float]:
+    """Probabilities at each time, log parameters at the last, and microseconds a sample, compilation left out."""
+    samples = held_samples(grasp)
+    contact = contact_of(samples[0], 0.0, sensed=bench.touch)
+    identifier.start(samples[0], contact)
+    identifier.advance(samples[1:6])  # compiled now
+    identifier.start(samples[0], contact)
+    probabilities, done, spent_s = [], 1, 0.0
+    for at in TIMES_S:
+        until = min(round(at * lab.tool.board.sample_rate_hz) + 1, len(samples))
+        begin = time.perf_counter()
+        for k in range(done, until, lab.tool.board.block_samples):
+            identifier.advance(samples[k : min(k + lab.tool.board.block_samples, until)])
+        spent_s += time.perf_counter() - begin
+        done = max(done, until)
+        probabilities.append(identifier.probabilities())
+    return probabilities, identifier.log_parameters(), 1e6 * spent_s / max(done - 1, 1)
+
+
+def _reliability(answers: np.ndarray, truth: np.ndarray) -> go.Figure:
+    figure = go.Figure()
+    figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", name="honest", line={"dash": "dash", "color": "#999999"})
+    for e, name in enumerate(MAKERS):
+        confidence, right = answers[:, e].max(axis=1), answers[:, e].argmax(axis=1) == truth
+        mean, share, number = reliability(confidence, right)
+        figure.add_scatter(x=mean, y=share, text=[f"{n} grasps" for n in number], name=name, mode="lines+markers",
+                           line={"color": PALETTE[e]})  # fmt: skip
+    figure.update_layout(xaxis_title="confidence", yaxis_title="share right", yaxis_range=[0, 1.02])
+    return figure

@@ -1,0 +1,76 @@
+"""What the studies measure of probabilities: accuracy, calibration, confident errors, and the Bayes limit."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from config.schema import TissueLibrary
+
+CONFIDENT = 0.95
+BINS = 10
+
+
+def bayes_limit(library: TissueLibrary, log_parameters: np.ndarray, thickness_m: float | None) -> np.ndarray:
+    """Probabilities, (M,), of somebody who knows a specimen's exact parameters, from the library's spreads alone.
+
+    `log_parameters`: log alpha, log beta, log d. `thickness_m`: None where the tool does not tell it.
+    """
+    used = 3 if thickness_m is None else 4
+    seen = np.append(log_parameters, math.log(thickness_m or 1.0))
+    log_density = []
+    for name, profile in library.tissues.items():
+        spread = library.spread_of(name)
+        centre = np.log([profile.alpha_n, profile.beta_per_m, profile.damping_kg_per_s, profile.thickness_m])
+        sd = np.array([spread.log_alpha, spread.log_beta, spread.log_damping, spread.log_thickness])
+        log_density.append(-np.sum(0.5 * ((seen - centre)[:used] / sd[:used]) ** 2 + np.log(sd[:used])))
+    weights = np.exp(np.array(log_density) - max(log_density))
+    return weights / weights.sum()
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How right, how honest and how sure a set of answers is."""
+
+    accuracy: float  # share in which the likeliest answer is the right one
+    calibration_error: float  # expected: mean gap between confidence and share right
+    confident_wrong: float  # share that is sure (at least 0.95) and wrong
+    confident: float  # share that is sure
+    log_loss: float  # mean negative log probability of the truth
+
+
+def score(probabilities: np.ndarray, truth: np.ndarray) -> Score:
+    """`probabilities` (n, M + 1), `truth` (n,) index of the right answer."""
+    confidence, right = probabilities.max(axis=1), probabilities.argmax(axis=1) == truth
+    of_truth = probabilities[np.arange(len(truth)), truth]
+    return Score(
+        accuracy=float(right.mean()),
+        calibration_error=calibration_error(confidence, right),
+        confident_wrong=float((~right & (confidence >= CONFIDENT)).mean()),
+        confident=float((confidence >= CONFIDENT).mean()),
+        log_loss=float(-np.log(np.maximum(of_truth, 1e-12)).mean()),
+    )
+
+
+def reliability(confidence: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For ten equal bins of confidence: mean confidence, share right, number; NaN where a bin is empty."""
+    which = np.minimum((confidence * BINS).astype(int), BINS - 1)
+    number = np.bincount(which, minlength=BINS)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(which, confidence, BINS) / number
+        share = np.bincount(which, right.astype(float), BINS) / number
+    return mean, share, number
+
+
+def calibration_error(confidence: np.ndarray, right: np.ndarray) -> float:
+    """Expected calibration error over ten equal bins."""
+    mean, share, number = reliability(confidence, right)
+    filled = number > 0
+    return float(np.sum(number[filled] * np.abs(mean - share)[filled]) / len(confidence))
+
+
+def confusion(probabilities: np.ndarray, truth: np.ndarray, answers: int) -> np.ndarray:
+    """Share of each truth (rows) that gets each answer (columns)."""
+    table = np.zeros((int(truth.max()) + 1, answers))
+    np.add.at(table, (truth, probabilities.argmax(axis=1)), 1.0)
+    return table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)

@@ -1,0 +1,38 @@
+"""Runs a study's cases on all cores, in order, and says how far it is."""
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from config.errors import GraspwatchError
+
+C = TypeVar("C")
+R = TypeVar("R")
+Progress = Callable[[int, int], None]  # done, of
+
+
+def run_cases(work: Callable[[C], R], cases: Iterable[C], progress: Progress, jobs: int | None = None) -> list[R]:
+    """`work` (a function of a module, it goes to other processes) on each case; results in the cases' order.
+
+    Raises:
+        GraspwatchError: a process died.
+    """
+    todo: Sequence[C] = list(cases)
+    jobs = jobs or os.cpu_count() or 1
+    progress(0, len(todo))
+    results: list[R] = []
+    pool = ProcessPoolExecutor(jobs)
+    try:
+        for result in pool.map(work, todo, chunksize=max(1, min(16, len(todo) // (4 * jobs)))):
+            results.append(result)
+            progress(len(results), len(todo))
+    except BrokenProcessPool:
+        raise GraspwatchError(
+            f"A process of the study died after {len(results)} of {len(todo)} cases; the machine may have run out of "
+            "memory. Repeat it with fewer --jobs."
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return results
