@@ -288,7 +288,7 @@ class Station:
             self._frames.add(int(block.samples["tick"][0]), columns, newest_ms)
 
     def _tell(self, received: ReceivedEstimates) -> None:
-        """Identification, finished grasps and force alarms to the viewers."""
+        """Identification, withdrawn names, finished grasps and force alarms to the viewers."""
         block = received.block
         message = Identification(server_time_ms=now_ms(), **asdict(block.identification))
         before, self._identification = self._identification, message
@@ -299,10 +299,17 @@ class Station:
         if changed or due:
             self._told_s = time.monotonic()
             self.hub.broadcast(message)
+        for withdrawal in block.withdrawn:
+            reason = withdrawal.why or f"{100 * withdrawal.probability:.0f} % now"
+            self._event(f"{self._title(withdrawal.label)} withdrawn: {reason}")
         for alarm in block.alarms:
             self.alarms.force(alarm)
         for record in block.ended:
             self._keep_grasp(Grasp(**asdict(record)))
+
+    def _title(self, label: str) -> str:
+        profile = self.plan.library.tissues.get(label)
+        return profile.title if profile else label.capitalize()
 
     def _keep_grasp(self, grasp: Grasp) -> None:
         self.metrics.grasps.labels(grasp.label).inc()

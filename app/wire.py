@@ -227,7 +227,7 @@ class Alarm(Wire):
 
 
 class EventMessage(Wire):
-    """Something worth a line in the log: started, stopped, refused, lost."""
+    """Something worth a line in the log: started, stopped, refused, lost, a tissue's name withdrawn."""
 
     type: Literal["event"] = "event"
     server_time_ms: float

@@ -28,6 +28,7 @@ def start(watched, protocol="trapezoid_025hz", cycles=3, tissue="bladder"):
     watched.at("cycles").fill(str(cycles))
     watched.at("tissue-select").select_option(tissue)
     watched.at("start").click()
+    expect(watched.at("run-message")).to_contain_text("Started", timeout=5_000)
 
 
 def test_from_start_to_label(service, watch):
@@ -63,6 +64,7 @@ def test_stop_works_at_once_on_all_pages(service, watch, by):
 
 def test_a_refused_start_says_why(service, watch):
     viewer = watch(service.url)
+    expect(viewer.at("protocol").locator("option")).not_to_have_count(0)  # the page has learned what there is
     service.run(protocol="trapezoid_025hz", cycles=20)
     viewer.at("start").evaluate("button => { button.disabled = false; button.click(); }")
     expect(viewer.at("run-message")).to_contain_text("under way", timeout=3_000)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import time
 
@@ -12,6 +13,7 @@ from simulation import joined, simulate_raw, write_lvm
 from websockets.sync.client import connect
 
 from app.wire import FRAME_HEADER
+from config.load import CONFIG_DIR
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +77,33 @@ def test_a_grasp_goes_in_and_a_label_comes_out(service, tissue):
     assert [grasp["label"] for grasp in grasps] == [tissue, tissue]
     assert [grasp["index"] for grasp in grasps] == [1, 2]
     assert all(grasp["peak_force_n"] == pytest.approx(1.55, rel=0.05) for grasp in grasps)
+
+
+def test_a_withdrawn_name_is_told_and_the_lowest_limit_holds_again(tmp_path):
+    """Liver and small bowel overlap: who names them too early, at 60 %, has to withdraw in every third grasp or so."""
+    rash = (CONFIG_DIR / "graspwatch.toml").read_text()
+    changes = ("decide_at = 0.95", 0.6), ("withdraw_below = 0.85", 0.59), ("confirm_s = 0.03", 0.005)
+    for line, value in changes:
+        assert line in rash
+        rash = rash.replace(line, f"{line.split(' = ')[0]} = {value}")
+    (tmp_path / "rash.toml").write_text(rash)
+
+    def withdrawn(listener):
+        return [
+            m for m in listener.of("event") if re.fullmatch(r"(Liver|Small bowel) withdrawn: \d\d? % now", m["text"])
+        ]
+
+    with Service("serve", "--config", str(tmp_path / "rash.toml")) as running, Listener(running) as listener:
+        running.run(protocol="trapezoid_4hz", cycles=60, tissue="liver")
+        listener.listen(lambda: withdrawn(listener), timeout_s=65.0)
+        [event] = withdrawn(listener)
+        name = event["text"].split(" withdrawn")[0].lower().replace(" ", "_")
+        lowest_n = listener.of("hello")[0]["lowest_threshold_n"]
+        told = listener.messages[: listener.messages.index(event)]
+        *before, now = [m for m in told if m["type"] == "identification" and m["in_grasp"]]
+        assert before[-1]["label"] == name
+        assert (now["label"], now["threshold_n"], now["threshold_tissue"]) == ("undecided", lowest_n, None)
+        assert f"{100 * now['probabilities'][name]:.0f} % now" in event["text"]
 
 
 def test_the_stream_is_gapless_at_1_khz(service):
