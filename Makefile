@@ -1,5 +1,5 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test bench dashboard screenshots wire lock clean
+.PHONY: run test bench dashboard figures screenshots wire lock clean
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
@@ -25,6 +25,9 @@ dashboard: app/static/index.html ## build the dashboard
 
 screenshots: $(VENV)/.installed app/static/index.html ## renew the picture in the README (needs Chromium)
 	$(BIN)/python tests/screenshots.py
+
+figures: $(VENV)/.installed ## run all studies, renew docs/estimation.md (needs Chromium)
+	$(BIN)/python docs/figures.py
 
 wire: $(VENV)/.installed ## renew the schema that the dashboard's types are generated from
 	$(BIN)/python -m app.wire_schema
