@@ -274,7 +274,7 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
     contact, samples = our_signals(run)
     bank.start(contact)
     mean, _ = bank.advance(samples)
-    printed, printed_n, _ = printed_answer(run, guess[None], library.mass_kg, settings.conditioning)
+    printed, printed_n, its_force_n = printed_answer(run, guess[None], library.mass_kg, settings.conditioning)
     figure = go.Figure().set_subplots(2, 3, subplot_titles=(
         "alpha, N", "beta, 1/m", "d, kg/s", "x, m", "force, N", "force error, N"))  # fmt: skip
     thin = slice(None, None, 5)
@@ -295,9 +295,12 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
     draw(2, 1, mean[:, 0, X], printed[:, 0, PRINTED_X], run.exact_displacement_m[1:])
     elastic_n = _elastic(mean)[:, 0]
     draw(2, 2, elastic_n, printed_n[:, 0], run.exact_force_n[1:])
-    draw(2, 3, elastic_n - run.exact_force_n[1:], printed_n[:, 0] - run.exact_force_n[1:], np.zeros(len(mean)))
+    draw(2, 3, elastic_n - run.exact_force_n[1:], printed_n[:, 0] - its_force_n, np.zeros(len(mean)))
     figure.add_hline(y=library.threshold_n(name), row=2, col=2, line_dash="dot", annotation_text="injury threshold")
-    return "Figure 4: liver's states and forces, one seed (the running filters)", figure
+    return (
+        "Figure 4: liver's states and forces, one seed (the running filters; the paper's on its delayed force)",
+        figure,
+    )
 
 
 def _figure_5(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> tuple[str, go.Figure]:
