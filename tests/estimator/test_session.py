@@ -388,3 +388,15 @@ def test_a_noisier_strain_gage_than_the_tool_file_says_makes_no_tissue_unknown(t
         case = Case(tissue, seed)
         blocks, _ = answered(simulate(noisy, LIBRARY, SETTINGS.conditioning, FAST, case).samples)
         assert UNKNOWN not in {block.identification.label for block in blocks}
+
+
+def test_a_wall_that_is_told_too_late_to_be_taken_back_makes_the_grasp_invalid():
+    samples = held_in("bladder")
+    contact = int(np.flatnonzero(samples["contact_tick"] >= 0)[0])
+    told = contact + 20 + 520  # the estimator looks back by half a second
+    samples["wall_tick"][told:] = samples["tick"][contact + 20]
+    samples["flags"][told:] |= np.uint16(Flag.JAWS_SHUT)
+    (record,), _ = estimated(samples)
+    assert not record.valid
+    assert "shut" in record.why_invalid
+    assert record.label not in LIBRARY.tissues
