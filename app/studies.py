@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -49,9 +50,7 @@ def paper(
     """Tables III, IV and V and Figures 4 and 5 of the paper, beside its own scheme and ours."""
     from estimator.studies.paper import paper as study
 
-    with _Progress("paper") as progress:
-        found = study(seeds, seed, progress, jobs)
-    _show(found, out, as_json)
+    _show(_run("paper", study, jobs, seeds, seed), out, as_json)
 
 
 @app.command()
@@ -65,9 +64,7 @@ def identify(
     from estimator.studies.identify import identify as study
 
     bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
-    with _Progress("identify") as progress:
-        found = study(bench, grasps, seed, progress, jobs)
-    _show(found, out, as_json)
+    _show(_run("identify", study, jobs, bench, grasps, seed), out, as_json)
 
 
 @app.command()
@@ -81,9 +78,7 @@ def unknown(
     from estimator.studies.unknown import unknown as study
 
     bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
-    with _Progress("unknown") as progress:
-        found = study(bench, grasps, seed, progress, jobs)
-    _show(found, out, as_json)
+    _show(_run("unknown", study, jobs, bench, grasps, seed), out, as_json)
 
 
 @app.command()
@@ -96,9 +91,7 @@ def initial(
     from estimator.studies.initial import initial as study
 
     bench = _bench(protocol, library, noise_mv, spread, touch, thickness=True)
-    with _Progress("initial") as progress:
-        found = study(bench, grasps, seed, progress, jobs)
-    _show(found, out, as_json)
+    _show(_run("initial", study, jobs, bench, grasps, seed), out, as_json)
 
 
 @app.command()
@@ -112,9 +105,7 @@ def mismatch(
     from estimator.studies.mismatch import mismatch as study
 
     bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
-    with _Progress("mismatch") as progress:
-        found = study(bench, grasps, seed, progress, jobs)
-    _show(found, out, as_json)
+    _show(_run("mismatch", study, jobs, bench, grasps, seed), out, as_json)
 
 
 @app.command()
@@ -127,9 +118,13 @@ def estimators(
     from estimator.studies.estimators import estimators as study
 
     bench = _bench(protocol, library, noise_mv, spread, touch, thickness=False)
-    with _Progress("estimators") as progress:
-        found = study(bench, grasps, seed, progress, jobs)
-    _show(found, out, as_json)
+    _show(_run("estimators", study, jobs, bench, grasps, seed), out, as_json)
+
+
+def _run(title: str, study: Callable[..., "Study"], jobs: int | None, *asked: object) -> "Study":
+    """Carry out a study of what was asked, and show how far it is."""
+    with _Progress(title) as progress:
+        return study(*asked, progress, jobs)
 
 
 def _bench(protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool) -> "Bench":

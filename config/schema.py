@@ -87,6 +87,11 @@ class SensorNoise(Model):
     strain_sd_v: Positive
     strain_lsb_v: NonNegative
 
+    @property
+    def strain_var_v2(self) -> float:
+        """Variance of one sample, V²: noise, and rounding to the converter's step."""
+        return self.strain_sd_v**2 + self.strain_lsb_v**2 / 12
+
 
 class ToolLimits(Model):
     """Hard bounds of the tool, kept by the acquisition worker itself."""

@@ -72,7 +72,7 @@ class Trust:
 def strict_and_lenient(tool: Tool) -> tuple[Trust, Trust]:
     """The two kinds of filter on a tool: its strain noise, and this package's constants."""
     strict = Noise(
-        strain_var=tool.noise.strain_sd_v**2 + tool.noise.strain_lsb_v**2 / 12,
+        strain_var=tool.noise.strain_var_v2,
         force_var=FORCE_NOISE_SD_N**2,
         displacement_var=DISPLACEMENT_NOISE_SD_M**2,
         walk_alpha=LOG_WALK_SD[0] ** 2,

@@ -1,5 +1,6 @@
 """From sample blocks to estimate blocks: follows a source from its first sample to its last."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -36,7 +37,7 @@ class RestNoise:
     """The strain gage's noise as it is before a grasp, whatever the tool file says: it ages, and its cable moves."""
 
     def __init__(self, tool: Tool) -> None:
-        self._stated_v2 = tool.noise.strain_sd_v**2 + tool.noise.strain_lsb_v**2 / 12
+        self._stated_v2 = tool.noise.strain_var_v2
         self._steps_v: deque[float] = deque(maxlen=REST_SAMPLES)
         self._last_v: float | None = None
         self._resting = REST_SETTLES  # what comes first in a source is no rest after a grasp
@@ -47,7 +48,7 @@ class RestNoise:
             self._resting, self._last_v = 0, None
             return
         for value in strain_v:
-            if not np.isfinite(value):
+            if not math.isfinite(value):
                 self._last_v = None
                 continue
             if self._resting >= REST_SETTLES and self._last_v is not None:

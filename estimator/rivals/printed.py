@@ -14,6 +14,7 @@ from config.schema import Identification, TissueLibrary, Tool
 from estimator.bank import Contact, Priors
 from estimator.compiling import compiled
 from estimator.constants import EXPONENT_LIMIT
+from estimator.criteria import convergence_samples
 from estimator.model import elastic_force, force_curve, step_matrices, tangent_stiffness
 
 STATES = 5
@@ -147,9 +148,7 @@ class PrintedIdentifier:
     def by_criteria(self) -> int:
         """The paper's answer so far: the guess whose force error has been inside its bound for longest, index."""
         errors = np.concatenate(self._errors)
-        outside = ~(np.abs(errors) <= self._convergence_error * self._peak_n)
-        last_outside = len(errors) - np.argmax(outside[::-1], axis=0)
-        converged = np.where(outside.any(axis=0), last_outside, 0)
+        converged = convergence_samples(errors, self._convergence_error * self._peak_n)  # NaN sorts last
         mean_error = np.nan_to_num(np.abs(errors), nan=np.inf).mean(axis=0)
         return int(np.lexsort((mean_error, converged))[0])
 

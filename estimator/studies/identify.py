@@ -1,6 +1,6 @@
 """`graspwatch study identify`: how right, how early and how honest, through the whole sensor chain."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -97,7 +97,7 @@ def _outcome(bench: Bench, case: Case) -> _Outcome:
         found = course.record.alpha_n, course.record.beta_per_m, course.record.damping_kg_per_s
         if None not in found:
             error = np.log(np.array(found, float)) - course.log_parameters
-    return _Outcome(_without_samples(course), plain, criteria, information, error)
+    return _Outcome(replace(course, grasp=None), plain, criteria, information, error)
 
 
 def _information(
@@ -121,18 +121,6 @@ def _information(
         ),
     )
     return question.gradient(np.append(log_parameters, np.log(priors.mass_kg)))[1]
-
-
-def _without_samples(course: Course) -> Course:
-    return Course(
-        course.case,
-        course.times_s,
-        course.probabilities,
-        course.record,
-        course.labels,
-        course.thickness_m,
-        course.log_parameters,
-    )
 
 
 def _limit(bench: Bench, library: TissueLibrary, course: Course) -> np.ndarray:

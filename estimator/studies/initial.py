@@ -6,10 +6,11 @@ import numpy as np
 import plotly.graph_objects as go
 
 from estimator.bank import Bank, Priors, strict_and_lenient
+from estimator.criteria import convergence_samples
 from estimator.filter import PARAMETERS, X
 from estimator.identifier import bank_columns, contact_of
 from estimator.model import force_curve
-from estimator.rivals.printed import FILTERED_NOISE, PrintedBank, PrintedNoise
+from estimator.rivals.printed import FILTERED_NOISE, GUESS_SHARE_SD, PrintedBank, PrintedNoise
 from estimator.studies.course import Bench, set_up
 from estimator.studies.grasps import Case, held_samples, simulate
 from estimator.studies.report import Figure, Study, Table
@@ -77,8 +78,8 @@ def initial(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int 
     return study
 
 
-def _convergence(job: _Job) -> tuple[float, float, float]:
-    """Seconds from contact to convergence: ours, the paper's filter with a small and with a large P0; NaN if never."""
+def _convergence(job: _Job) -> np.ndarray:
+    """Seconds from contact to convergence, (3,): ours, the paper's filter with a small and a large P0; NaN if never."""
     lab = set_up(job.bench)
     samples = held_samples(simulate(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, job.case))
     profile = lab.library.tissues[job.case.tissue]
@@ -90,20 +91,18 @@ def _convergence(job: _Job) -> tuple[float, float, float]:
     until = int(np.argmax(samples["jaw_force_filtered_n"])) + 1
     until = max(until, round(2 * WITHIN_S * rate_hz))
     ours = _ours(job, guess, samples) - samples["jaw_force_n"][1:]
-    times = [_latest(ours[:until], bound_n, rate_hz)]
+    errors_n = [ours[:until]]
     first = samples[0]
     sensor_v = FILTERED_NOISE * lab.tool.noise.strain_sd_v
     noise = PrintedNoise(sensor_v * float(first["newton_per_volt"]), sensor_v * abs(float(first["metre_per_volt"])))
     force_n = np.ascontiguousarray(samples["jaw_force_filtered_n"])
     displacement_m = samples["jaw_displacement_filtered_m"] - first["jaw_displacement_filtered_m"]
-    for share in (None, np.ones(3)):
-        paper = PrintedBank(guess[None], lab.library.mass_kg, 1 / rate_hz, noise)
-        if share is not None:
-            paper = PrintedBank(guess[None], lab.library.mass_kg, 1 / rate_hz, noise, guess_share_sd=share)
+    for share in (GUESS_SHARE_SD, np.ones(3)):
+        paper = PrintedBank(guess[None], lab.library.mass_kg, 1 / rate_hz, noise, guess_share_sd=share)
         paper.start(float(force_n[0]))
         _, elastic_n = paper.advance(force_n[1:], displacement_m[1:])
-        times.append(_latest((elastic_n[:, 0] - force_n[1:])[:until], bound_n, rate_hz))
-    return times[0], times[1], times[2]
+        errors_n.append((elastic_n[:, 0] - force_n[1:])[:until])
+    return convergence_samples(np.column_stack(errors_n), bound_n) / rate_hz
 
 
 def _ours(job: _Job, guess: np.ndarray, samples: np.ndarray) -> np.ndarray:
@@ -126,13 +125,6 @@ def _ours(job: _Job, guess: np.ndarray, samples: np.ndarray) -> np.ndarray:
             parameters = np.exp(own[:, PARAMETERS])
             elastic_n[begin : begin + STEP] = force_curve(parameters[:, 0], parameters[:, 1], own[:, X])
     return elastic_n
-
-
-def _latest(errors_n: np.ndarray, bound_n: float, rate_hz: float) -> float:
-    outside = ~(np.abs(errors_n) <= bound_n)
-    if outside[-1]:
-        return np.nan
-    return (len(outside) - int(np.argmax(outside[::-1]))) / rate_hz if outside.any() else 0.0
 
 
 def _map(shares: np.ndarray) -> go.Figure:

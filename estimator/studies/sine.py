@@ -10,6 +10,7 @@ from config.load import load_protocol
 from config.schema import Conditioning, Sine, TissueProfile
 from estimator.bank import Bank, Contact, Priors, Trust
 from estimator.compiling import compiled
+from estimator.criteria import convergence_samples
 from estimator.filter import ABOUT, PARAMETERS, STATES, Noise
 from estimator.model import elastic_force, step_matrices, tangent_stiffness
 from estimator.rivals.printed import PrintedBank, PrintedNoise
@@ -111,10 +112,7 @@ def conditioning_share(conditioning: Conditioning) -> float:
 
 def convergence_s(elastic_n: np.ndarray, force_n: np.ndarray, bound_n: float) -> float:
     """Latest moment after which the elastic force stays within the bound of the force, s; NaN if it does not."""
-    outside = ~(np.abs(elastic_n - force_n) <= bound_n)
-    if outside[-1]:
-        return np.nan
-    return (len(outside) - int(np.argmax(outside[::-1]))) / RATE_HZ if outside.any() else 0.0
+    return float(convergence_samples((elastic_n - force_n)[:, None], bound_n)[0]) / RATE_HZ
 
 
 class BothNoisy(Question):
