@@ -1,4 +1,4 @@
-"""Messages between the workers over ZeroMQ: blocks and notices one way, commands and their answers the other.
+"""Messages between the workers over ZeroMQ: blocks and notices one way; force limits, commands and answers the other.
 
 PUB/SUB loses messages silently once a frozen subscriber is full; so every block carries a sequence number, and
 `Receiver` counts what is missing.
@@ -26,12 +26,13 @@ class Endpoints:
 
     samples: str
     estimates: str
+    limits: str
     commands: str
 
     @classmethod
     def in_folder(cls, folder: Path) -> "Endpoints":
         tag = secrets.token_hex(4)
-        return cls(*(f"ipc://{folder}/{name}-{tag}" for name in ("samples", "estimates", "commands")))
+        return cls(*(f"ipc://{folder}/{name}-{tag}" for name in ("samples", "estimates", "limits", "commands")))
 
 
 def publisher(context: zmq.Context, address: str) -> zmq.Socket:
@@ -88,6 +89,35 @@ class SequenceCounter:
         self._last = sequence
         self.missing += missing
         return missing
+
+
+# --- force limits ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ForceLimit:
+    """The injury threshold in force as the estimator knows it at `tick`, N, and whose; None: the library's lowest."""
+
+    threshold_n: float
+    tissue: str | None
+    tick: int
+
+
+def pack_limit(limit: ForceLimit) -> bytes:
+    return json.dumps(asdict(limit)).encode()
+
+
+def unpack_limit(message: bytes) -> ForceLimit:
+    return ForceLimit(**json.loads(message))
+
+
+def newest_of(context: zmq.Context, address: str) -> zmq.Socket:
+    """A socket that keeps only the newest message published at the address; messages must have one part."""
+    socket = context.socket(zmq.SUB)
+    socket.setsockopt(zmq.CONFLATE, 1)
+    socket.setsockopt(zmq.SUBSCRIBE, b"")
+    socket.connect(address)
+    return socket
 
 
 # --- commands --------------------------------------------------------------------------------------------------------

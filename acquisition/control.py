@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
+
 from acquisition.blocks import SampleBlock
-from acquisition.limiter import why_stop
+from acquisition.limiter import HoldBack, why_stop
 from acquisition.pipeline import Pipeline
 from acquisition.protocol import ProtocolPlayer
 from acquisition.source import Source
@@ -33,13 +35,19 @@ class RunEnded:
 class Acquisition:
     """Drives one source. The motor moves only while a run plays its protocol."""
 
-    def __init__(self, source: Source, tool: Tool, conditioning: Conditioning) -> None:
+    def __init__(
+        self, source: Source, tool: Tool, conditioning: Conditioning, hold_back: HoldBack | None = None
+    ) -> None:
+        """`hold_back` limits the force of whatever a protocol asks for; a recording, which has no motor, needs none."""
         self._source = source
         self._tool = tool
         self._pipeline = Pipeline(tool, conditioning)
         self._player: ProtocolPlayer | None = None
         self._run_id = ""
         self._ended: list[RunEnded] = []
+        self._hold_back = hold_back
+        self._held = 0  # HELD_BACK and LET_GO, of the samples that come next
+        self._let_go: list[str] = []
         self._command_v = 0.0
         self._astray = 0  # blocks in a row whose command was read back wrong
 
@@ -59,9 +67,15 @@ class Acquisition:
         self._pipeline.tare.restart()
         self._run_id, self._player = run_id, player
 
+    def allow(self, threshold_n: float, tick: int) -> None:
+        """The injury threshold in force as the samples up to `tick` tell it, N; it counts until it expires."""
+        if self._hold_back is not None:
+            self._hold_back.allow(threshold_n, tick)
+
     def stop(self, end: RunEnd, why: str) -> bool:
         """Motor to zero at once, whatever else is the case; returns whether a run was ended by it."""
         self._write(0.0)
+        self._held = 0
         if not self.running:
             return False
         self._player = None
@@ -78,6 +92,7 @@ class Acquisition:
         if raw is None:
             return None
         block = self._pipeline.process(raw)
+        block.samples["flags"] |= np.uint16(self._held)
         if self._player is not None:
             why = why_stop(self._tool.limits, block.samples) or self._why_not_move(block)
             if why:
@@ -85,8 +100,19 @@ class Acquisition:
             elif self._player.done:
                 self.stop(RunEnd.FINISHED, "all cycles are done")
             else:
-                self._write(self._player.advance(len(raw)))
+                self._move(block, self._player.advance(len(raw)))
         return block
+
+    def _move(self, block: SampleBlock, wanted_v: float) -> None:
+        """Write what the protocol asks for, or as much of it as the limiter allows."""
+        if self._hold_back is None:
+            self._write(wanted_v)
+            return
+        was_let_go = self._hold_back.why_let_go
+        command_v, self._held = self._hold_back.judge(block.samples, wanted_v)
+        self._write(command_v)
+        if (why := self._hold_back.why_let_go) and not was_let_go:
+            self._let_go.append(why)
 
     def _why_not_move(self, block: SampleBlock) -> str | None:
         """What forbids the motor to start or to go on: no tare, or a command that does not arrive."""
@@ -112,3 +138,8 @@ class Acquisition:
         """Runs that ended since the last call."""
         ended, self._ended = self._ended, []
         return ended
+
+    def take_let_go(self) -> list[str]:
+        """Why grasps were let go since the last call, the motor at zero for the rest of each."""
+        let_go, self._let_go = self._let_go, []
+        return let_go

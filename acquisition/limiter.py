@@ -1,11 +1,24 @@
-"""What stops the motor, judged at every block from unfiltered force; nobody is waited for."""
+"""What stops the motor, and what holds it back, judged at every block from unfiltered force; nobody is waited for."""
+
+import math
+from collections import deque
 
 import numpy as np
 
 from acquisition.blocks import Flag
-from config.schema import ToolLimits
+from acquisition.contact import COMMAND_ON_V
+from config.schema import Limiter, TissueLibrary, Tool, ToolLimits
 
 INVALID, SATURATED, IN_GRASP = Flag.INVALID.value, Flag.SATURATED.value, Flag.IN_GRASP.value
+HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
+
+LAG_S = 0.009  # each of two lags in a row from command to force: 8 ms of drive, 10 ms of cable and tissue in simulation
+STRONGER_S = 0.007  # how fast more force than the map tells is believed: about a block, so that one does not decide
+WEAKER_S = 0.2  # and less force: slowly, for it may only be late
+TRUSTED_SHARE = 0.25  # of the limit, that is added to both forces before they are compared: small ones are all noise
+RAISE_N_PER_S = 10.0  # a limit that rises is followed so fast: in the 25 ms until an error is felt, 0.25 N at most
+FOLLOW_S = 0.1  # that the force gets to follow a threshold that falls: five times what drive and tissue take
+LEAST_HOLD_V = 0.05  # a grasp that is held back goes on: at 0 V the jaws would open
 
 
 def why_stop(limits: ToolLimits, samples: np.ndarray) -> str | None:
@@ -27,3 +40,125 @@ def why_stop(limits: ToolLimits, samples: np.ndarray) -> str | None:
     if mean_n > limits.force_ceiling_n:
         return f"force {mean_n:.2f} N is over the ceiling of {limits.force_ceiling_n:.2f} N"
     return None
+
+
+class ThresholdInForce:
+    """The injury threshold that counts, N: the one told of the grasp under way while it is fresh, else the lowest."""
+
+    def __init__(self, library: TissueLibrary, expires_ticks: int) -> None:
+        self._lowest_n = library.lowest_threshold_n
+        self._highest_n = max(library.threshold_n(name) for name in library.tissues)
+        self._expires_ticks = expires_ticks
+        self._told_n, self._told_tick = self._lowest_n, -1
+
+    def tell(self, threshold_n: float, tick: int) -> None:
+        """What the samples up to `tick` say. A number that no tissue of the library can have is not followed."""
+        self._told_n, self._told_tick = threshold_n, tick
+
+    def at(self, tick: int, grasp_start_tick: int) -> float:
+        """At a sample of the grasp that began at `grasp_start_tick`."""
+        is_fresh = grasp_start_tick <= self._told_tick <= tick <= self._told_tick + self._expires_ticks
+        return self._told_n if is_fresh and self._lowest_n <= self._told_n <= self._highest_n else self._lowest_n
+
+
+class HoldBack:
+    """Lowers the command that a protocol asks for, so that the jaw force settles under a share of the threshold.
+
+    The tool's map from command to force tells, through the drive's lag, what force the commands so far should have come
+    to by now. The force felt in proportion to that is how strong the tool is, and so tells what the next command would
+    come to: commands still on their way are counted, and a map that is wrong is soon put right.
+
+    Where the force passes the threshold itself, the grasp is let go: the command stays at zero until the protocol asks
+    for zero, too.
+    """
+
+    def __init__(self, tool: Tool, library: TissueLibrary, settings: Limiter) -> None:
+        rate_hz = tool.board.sample_rate_hz
+        self._block_s = tool.board.block_samples / rate_hz
+        self._map = tool.command_to_force
+        self._margin = settings.margin
+        self._threshold = ThresholdInForce(library, round(settings.limit_expires_s * rate_hz))
+        self._followed: deque[float] = deque(maxlen=1 + round(FOLLOW_S / self._block_s))  # thresholds, block by block
+        self._limit_n = settings.margin * library.lowest_threshold_n
+        self._expected = ExpectedForce(tool)
+        self._strength = 1.0  # of the tool, in proportion to its map
+        self._begins_with = 1.0  # a grasp that had to be let go teaches the following ones how strong the tool is
+        self._stronger_share = -math.expm1(-self._block_s / STRONGER_S)
+        self._weaker_share = -math.expm1(-self._block_s / WEAKER_S)
+        self.why_let_go: str | None = None  # not None: the command stays at zero until the protocol asks for that, too
+
+    def allow(self, threshold_n: float, tick: int) -> None:
+        """The injury threshold, N, that the samples up to `tick` speak for; it counts until it expires."""
+        self._threshold.tell(threshold_n, tick)
+
+    def judge(self, samples: np.ndarray, wanted_v: float) -> tuple[float, int]:
+        """The command to write after a block where the protocol asks for `wanted_v`, V, and the flags that go with it.
+
+        `samples` (dtype SAMPLE) are those since the last call, under the command that it returned. Flags: HELD_BACK
+        where the command is lower than wanted, LET_GO where it is zero because the force was over the threshold.
+        """
+        last = samples[-1]
+        threshold_n = self._threshold.at(int(last["tick"]), int(last["grasp_start_tick"]))
+        self._followed.append(threshold_n)
+        force_n = middle_of(samples["jaw_force_n"].tolist())
+        expected_n = self._expected.at_middle(int(samples["tick"][0]), len(samples), int(last["contact_tick"]), force_n)
+        if wanted_v <= COMMAND_ON_V:  # between grasps
+            self._strength, self._limit_n, self.why_let_go = self._begins_with, self._margin * threshold_n, None
+            return self._ask(wanted_v), 0
+        self._limit_n = min(self._margin * threshold_n, self._limit_n + RAISE_N_PER_S * self._block_s)
+        trusted_n = TRUSTED_SHARE * self._limit_n
+        if force_n is not None:
+            self._compare((force_n + trusted_n) / (expected_n + trusted_n), in_contact=last["contact_tick"] >= 0)
+            most_n = max(self._followed)
+            if force_n > most_n and self.why_let_go is None:
+                self.why_let_go = f"the force of {force_n:.2f} N passed the injury threshold of {most_n:.2f} N"
+                self._begins_with = max(self._strength, 1.0)
+        if self.why_let_go:
+            return self._ask(0.0), HELD_BACK | LET_GO
+        most_v = float(self._map.command((self._limit_n + trusted_n) / self._strength - trusted_n))
+        most_v = max(most_v, LEAST_HOLD_V)
+        return (self._ask(most_v), HELD_BACK) if most_v < wanted_v else (self._ask(wanted_v), 0)
+
+    def _ask(self, command_v: float) -> float:
+        self._expected.asked_n = float(self._map.force(command_v))
+        return command_v
+
+    def _compare(self, strength: float, *, in_contact: bool) -> None:
+        """Follow how strong the tool is. Without contact there is no force yet, which says nothing of the map."""
+        if strength > self._strength:
+            self._strength += (strength - self._strength) * self._stronger_share
+        elif in_contact:
+            self._strength += (strength - self._strength) * self._weaker_share
+
+
+class ExpectedForce:
+    """What the commands should have come to by now, according to the map and through two lags: drive, then tissue."""
+
+    def __init__(self, tool: Tool) -> None:
+        self._share = -math.expm1(-1.0 / (tool.board.sample_rate_hz * LAG_S))  # of a lag, in one sample
+        self.asked_n = 0.0  # by the command that is on
+        self._driven_n, self._felt_n = 0.0, 0.0
+        self._contact_tick = -1
+
+    def at_middle(self, first_tick: int, samples: int, contact_tick: int, force_n: float | None) -> float:
+        """Follow a block; returns the force, N, at its middle, where `force_n` was measured.
+
+        Jaws that came freely begin at no force when they touch, at `contact_tick`; until then it is -1.
+        """
+        if contact_tick >= 0 and contact_tick != self._contact_tick and (force_n or 0.0) < 0.5 * self._felt_n:
+            self._felt_n = self._driven_n * (1.0 - (1.0 - self._share) ** max(first_tick - contact_tick, 0))
+        self._contact_tick = contact_tick
+        middle_n = self._felt_n
+        for i in range(samples):
+            self._driven_n += (self.asked_n - self._driven_n) * self._share
+            if first_tick + i >= contact_tick:
+                self._felt_n += (self._driven_n - self._felt_n) * self._share
+            if i == samples // 2:
+                middle_n = self._felt_n
+        return middle_n
+
+
+def middle_of(force_n: list[float]) -> float | None:
+    """The median of the known forces of a block, N, which a single spike does not move; None where none is known."""
+    known = sorted(value for value in force_n if math.isfinite(value))
+    return known[len(known) // 2] if known else None

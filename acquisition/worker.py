@@ -2,24 +2,23 @@
 
 import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import zmq
 
 from acquisition import bus
 from acquisition.control import Acquisition, RunEnd
+from acquisition.limiter import HoldBack
 from acquisition.process import StopFlag, ask_for_realtime, become_worker, calm_garbage_collector
-from acquisition.recording import Recording
 from acquisition.tools import open_tool
 from config.errors import GraspwatchError, RefusedError
-from config.schema import Conditioning, Protocol, TissueLibrary, Tool
+from config.schema import Conditioning, Limiter, Protocol, TissueLibrary, Tool
 
 REALTIME_PRIORITY = 80
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """All that the worker needs to know. `recordings` are played instead of a tool, at `speed` times real time."""
+    """All that the worker needs to know."""
 
     parent_pid: int
     endpoints: bus.Endpoints
@@ -28,20 +27,16 @@ class Setup:
     conditioning: Conditioning
     tissue: str
     seed: int
-    recordings: tuple[Path, ...] = ()
-    speed: float = 1.0
+    limiter: Limiter
 
 
 def main(setup: Setup) -> None:
-    """Run until a signal, the end of the recording, or a fault; exits with an error's code after telling it."""
+    """Run until a signal or a fault; exits with an error's code after telling it."""
     stop = become_worker("acquisition", setup.parent_pid)
     context = zmq.Context()
     publisher = bus.publisher(context, setup.endpoints.samples)
     try:
-        if setup.recordings:
-            _play(setup, publisher, stop)
-        else:
-            _drive(setup, publisher, context, stop)
+        _drive(setup, publisher, context, stop)
     except GraspwatchError as error:
         publisher.send_multipart(bus.pack_notice("fault", worker="acquisition", text=str(error)))
         raise SystemExit(error.exit_code) from None
@@ -50,30 +45,24 @@ def main(setup: Setup) -> None:
         context.destroy(linger=200)
 
 
-def _play(setup: Setup, publisher: zmq.Socket, stop: StopFlag) -> None:
-    """Publish recordings one after the other, each from a fresh start."""
-    for path in setup.recordings:
-        with Recording(path, setup.tool, setup.speed) as recording:
-            publisher.send_multipart(bus.pack_notice("recording", name=path.name))
-            acquisition = Acquisition(recording, setup.tool, setup.conditioning)
-            while not stop.set and (block := acquisition.turn()) is not None:
-                publisher.send_multipart(bus.pack_samples(block))
-    publisher.send_multipart(bus.pack_notice("ended", text="the recording has ended"))
-
-
 def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: StopFlag) -> None:
-    """Read the tool for as long as the service lives; obey commands between blocks."""
+    """Read the tool for as long as the service lives; between blocks, take force limits and obey commands."""
     source, grasper = open_tool(setup.tool, setup.library, setup.tissue, setup.seed)
+    limits = bus.newest_of(context, setup.endpoints.limits)
     commands = context.socket(zmq.REP)
     commands.bind(setup.endpoints.commands)
     with source:
-        acquisition = Acquisition(source, setup.tool, setup.conditioning)
+        hold_back = HoldBack(setup.tool, setup.library, setup.limiter)
+        acquisition = Acquisition(source, setup.tool, setup.conditioning, hold_back)
         calm_garbage_collector()
         realtime = ask_for_realtime(REALTIME_PRIORITY)
         publisher.send_multipart(bus.pack_notice("acquiring", realtime=realtime))
         while not stop.set and (block := acquisition.turn()) is not None:
             publisher.send_multipart(bus.pack_samples(block))
-            _tell_ended(acquisition, publisher)
+            _tell_news(acquisition, publisher)
+            if limits.poll(0):
+                limit = bus.unpack_limit(limits.recv())
+                acquisition.allow(limit.threshold_n, limit.tick)
             if commands.poll(0):
                 command = bus.unpack_command(commands.recv())
                 answer = _obey(command, acquisition)
@@ -81,10 +70,13 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
                     grasper.hold(command.tissue)
                 commands.send(bus.pack_answer(answer))
         acquisition.stop(RunEnd.STOPPED, "the service was ended")
-        _tell_ended(acquisition, publisher)
+        _tell_news(acquisition, publisher)
 
 
-def _tell_ended(acquisition: Acquisition, publisher: zmq.Socket) -> None:
+def _tell_news(acquisition: Acquisition, publisher: zmq.Socket) -> None:
+    """Grasps that were let go, and runs that ended."""
+    for why in acquisition.take_let_go():
+        publisher.send_multipart(bus.pack_notice("let_go", text=f"The grasp was let go with the motor at zero: {why}."))
     for ended in acquisition.take_ended():
         publisher.send_multipart(bus.pack_notice("run_ended", **asdict(ended)))
 

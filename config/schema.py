@@ -347,6 +347,16 @@ class Identification(Model):
         return self
 
 
+class Limiter(Model):
+    """Where the force is held: a share of the injury threshold in force.
+
+    The threshold that the estimator tells counts for `limit_expires_s`; after that it is the library's lowest.
+    """
+
+    margin: Probability = 0.8
+    limit_expires_s: Positive = 0.1
+
+
 class Warnings(Model):
     """Shares of the threshold in force at which low, medium and high warnings begin, and their hysteresis."""
 
@@ -367,7 +377,9 @@ class Settings(Model):
 
     tool: str = "simulated"
     library: str = "porcine"
+    data_folder: str = "graspwatch-data"
     server: Server = Server()
     conditioning: Conditioning = Conditioning()
     identification: Identification = Identification()
+    limiter: Limiter = Limiter()
     warnings: Warnings = Warnings()

@@ -50,6 +50,10 @@ class Identification:
     peak_force_n: float | None
     threshold_n: float
     threshold_tissue: str | None
+    hold_n: float  # where the limiter holds the force
+    holding_back: bool
+    time_to_limit_s: float | None  # forecast while the force rises towards the threshold
+    thickness_m: float | None  # of what is held, measured at contact
     convergence_s: dict[str, float | None]
     force_error_n: dict[str, float | None]
 

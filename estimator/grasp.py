@@ -9,7 +9,7 @@ from acquisition.blocks import Flag
 from config.schema import Identification as Settings
 from estimator.bank import Bank, BankState
 from estimator.blocks import GraspRecord, finite
-from estimator.constants import EMPTY_JAWS_M, RELEASED_PEAK_N, RELEASED_SHARE
+from estimator.constants import EMPTY_JAWS_M, FILLED_MARGIN_M, RELEASED_PEAK_N, RELEASED_SHARE
 from estimator.criteria import ForceErrors
 from estimator.decision import UNDECIDED, UNKNOWN, Decision
 from estimator.evidence import Evidence
@@ -45,6 +45,7 @@ class GraspEstimation:
         """`held_before`: tissue was touched when the command left zero, so that nobody knows where contact was."""
         self.index, self.start_tick = index, start_tick
         self._bank, self._evidence, self._rate_hz = bank, evidence, rate_hz
+        self._use_thickness = settings.use_thickness
         self.names = bank.priors.names
         self.decision = Decision((*self.names, UNKNOWN), settings, rate_hz)
         self.probabilities = evidence.prior
@@ -56,6 +57,7 @@ class GraspEstimation:
         self.over = False  # nothing more to learn: jaws shut or opening, or an encoder that slips
         self.flags = 0
         self.lost_samples = 0
+        self._gap_m: float | None = None  # between the jaws at contact
         self._of_thickness: np.ndarray | float = 0.0
         self._errors = ForceErrors(len(self.names), settings.convergence_error)
         self._kept: list[_Kept] = []
@@ -67,7 +69,7 @@ class GraspEstimation:
         """First sample in contact; `before_m` are the jaw displacements of the samples before it.
 
         `sensed`: a trusted touch sensor told it, and not the force. `opening_m`: the gap between the open jaws, None
-        where thickness is to be no evidence. `strain_var`: of the strain gage now, V².
+        where it is not known. `strain_var`: of the strain gage now, V².
         """
         approach = 0.0
         if len(before_m) > 1 and np.isfinite(before_m).all():
@@ -75,7 +77,10 @@ class GraspEstimation:
         self.contact_tick, self._contact_m = int(sample["tick"]), float(sample["jaw_displacement_m"])
         self._last_tick = self.contact_tick
         if sensed and opening_m is not None and np.isfinite(self._contact_m):
-            self._of_thickness = self._evidence.of_thickness(self._contact_m, opening_m)
+            filled = self._contact_m < FILLED_MARGIN_M  # the tissue may be thicker than the jaws open
+            self._gap_m = None if filled else max(opening_m - self._contact_m, 0.0)
+            if self._use_thickness:
+                self._of_thickness = self._evidence.of_thickness(self._contact_m, opening_m)
         self._bank.start(contact_of(sample, float(approach), sensed=sensed), strain_var)
 
     def take(self, samples: np.ndarray, estimates: np.ndarray) -> None:
@@ -149,6 +154,12 @@ class GraspEstimation:
         """The decision, unless the grasp cannot be believed: then no tissue is named."""
         believed = self.decision.label == UNKNOWN or self.why_invalid() is None
         return self.decision.label if believed else UNDECIDED
+
+    @property
+    def thickness_m(self) -> float | None:
+        """Of what is held, from the gap between the jaws at contact; None where that is not known or not believed."""
+        unbelieved = self._held_before or self.flags & ENCODER_SLIPS
+        return None if unbelieved else self._gap_m
 
     def named_probabilities(self) -> dict[str, float]:
         return dict(zip((*self.names, UNKNOWN), map(float, self.probabilities), strict=True))

@@ -22,10 +22,11 @@ from estimator.blocks import (
 from estimator.constants import REST_LEAST, REST_RANGE, REST_SAMPLES, REST_SETTLES
 from estimator.decision import UNDECIDED
 from estimator.evidence import Evidence
+from estimator.forecast import Forecast
 from estimator.grasp import GraspEstimation
 
 IN_GRASP, CONTACT, CONTACT_SENSED = Flag.IN_GRASP.value, Flag.CONTACT.value, Flag.CONTACT_SENSED.value
-INVALID, ENCODER_SLIPS = Flag.INVALID.value, Flag.ENCODER_SLIPS.value
+INVALID, ENCODER_SLIPS, HELD_BACK = Flag.INVALID.value, Flag.ENCODER_SLIPS.value, Flag.HELD_BACK.value
 APPROACH_SAMPLES = 8  # before contact: how fast the jaws come
 STEP_SAMPLES = 5  # probabilities are renewed at ticks that are multiples of this, and at a block's end
 MEDIAN_STEP = 0.6745 * 2**0.5  # of two samples' difference, in standard deviations of one, if it is Gaussian
@@ -73,7 +74,8 @@ class EstimationSession:
         self._thresholds = {name: library.threshold_n(name) for name in library.tissues}
         self._lowest_n = library.lowest_threshold_n
         self._settings = settings.identification
-        self._opening_m = tool.geometry.opening_m if self._settings.use_thickness else None
+        self._margin = settings.limiter.margin
+        self._opening_m = tool.geometry.opening_m
         self.bank = Bank.of(tool, library)
         self.evidence = Evidence(self.bank, library, self._settings)
         self._warnings = ForceWarnings(settings.warnings)
@@ -81,6 +83,9 @@ class EstimationSession:
         self._contact = tool.contact
         self._recent = np.zeros(0, SAMPLE)
         self._rest = RestNoise(tool)
+        self._strain_var_v2 = self._rest.variance_v2()  # as measured before the grasp under way
+        self._forecast = Forecast(self._rate_hz)
+        self._kept_samples = max(2 * BACKDATE_SAMPLES, self._forecast.samples)
         self._grasp: GraspEstimation | None = None
         self._in_grasp = False
         self._told = UNDECIDED  # label of the grasp under way as it was told last
@@ -96,7 +101,7 @@ class EstimationSession:
         n, kept = len(block.samples), len(self._recent)
         window = np.empty(kept + n, SAMPLE)
         window[:kept], window[kept:] = self._recent, block.samples
-        self._recent = window[-2 * BACKDATE_SAMPLES :]
+        self._recent = window[-self._kept_samples :]
         estimates = blank_estimates(self._dtype, block.samples["tick"])
         if self._in_grasp and self._grasp:
             self._grasp.lost_samples += int(block.samples["tick"][0]) - self._last_tick - 1
@@ -139,6 +144,7 @@ class EstimationSession:
             self._in_grasp = True
             self._criteria = self._empty_criteria()
             self._told = UNDECIDED
+            self._strain_var_v2 = self._rest.variance_v2()
             self._grasp = GraspEstimation(
                 int(last["grasp"]),
                 int(last["grasp_start_tick"]),
@@ -192,7 +198,7 @@ class EstimationSession:
             if not len(sound):
                 return  # contact is told, but nothing of it can be believed yet
             first = since + int(sound[0])
-            grasp.begin(window[first], before_m, self._opening_m, self._rest.variance_v2(), sensed=sensed)
+            grasp.begin(window[first], before_m, self._opening_m, self._strain_var_v2, sensed=sensed)
             samples = window[first + 1 :]
             rows = blank_estimates(self._dtype, samples["tick"])  # what is earlier has been published
         sound = (samples["flags"] & INVALID) == 0
@@ -246,6 +252,18 @@ class EstimationSession:
             peak_force_n=finite(grasp.peak_n) if grasp else None,
             threshold_n=threshold_n,
             threshold_tissue=tissue,
+            hold_n=self._margin * threshold_n,
+            holding_back=bool(last["flags"] & HELD_BACK),
+            time_to_limit_s=self._time_to_limit_s(threshold_n),
+            thickness_m=grasp.thickness_m if grasp else None,
             convergence_s=self._criteria[0],
             force_error_n=self._criteria[1],
         )
+
+    def _time_to_limit_s(self, threshold_n: float) -> float | None:
+        """Until the force reaches the threshold, s, if it goes on as over the last samples; None between grasps."""
+        recent, n = self._recent, self._forecast.samples
+        if not self._in_grasp or len(recent) < n or recent["tick"][-1] - recent["tick"][-n] != n - 1:
+            return None
+        noise_sd_n = abs(float(recent["newton_per_volt"][-1])) * math.sqrt(self._strain_var_v2)
+        return self._forecast.time_to_s(recent["jaw_force_n"][-n:], threshold_n, noise_sd_n)

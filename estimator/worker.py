@@ -37,6 +37,7 @@ def main(setup: Setup) -> None:
     context = zmq.Context()
     samples = bus.subscriber(context, setup.endpoints.samples)
     publisher = bus.publisher(context, setup.endpoints.estimates)
+    limits = bus.publisher(context, setup.endpoints.limits)
     publisher.send_multipart(bus.pack_notice("compiling"))
     warm_up(setup)
     calm_garbage_collector()
@@ -59,6 +60,7 @@ def main(setup: Setup) -> None:
                 session = EstimationSession(setup.tool, setup.library, setup.settings)
             counter.take(block.sequence)
             estimate = session.process(block)
+            limits.send(bus.pack_limit(limit_of(estimate.identification)))  # first: somebody waits for it
             publisher.send_multipart(pack_estimates(estimate, counter.missing))
     finally:
         context.destroy(linger=200)
@@ -70,6 +72,11 @@ def warm_up(setup: Setup) -> None:
     session.bank.start(Contact(np.array([0.01, 0.0, 7.0, -0.006, 0.0])))
     session.bank.advance(np.array([[0.01, 1e-5, 7.0, -0.006, 0.001]]))
     session.evidence.probabilities()
+
+
+def limit_of(found: Identification) -> bus.ForceLimit:
+    """What the acquisition's limiter is told."""
+    return bus.ForceLimit(found.threshold_n, found.threshold_tissue, found.tick)
 
 
 def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:

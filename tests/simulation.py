@@ -35,6 +35,19 @@ def simulate_raw(
     return cut(drive(grasper, commands), range(0, len(commands), tool.board.block_samples))
 
 
+class WatchedGrasper(SimulatedGrasper):
+    """Keeps the true jaw force of every sample, N."""
+
+    def __init__(self, *args, **options) -> None:
+        super().__init__(*args, **options)
+        self.forces_n: list[float] = []
+
+    def step(self, command_v: float) -> tuple[float, float, float, float]:
+        result = super().step(command_v)
+        self.forces_n.append(self.force_n)
+        return result
+
+
 def drive(grasper: SimulatedGrasper, commands_v: Iterable[float]) -> RawBlock:
     """One block with a sample for each command, read back without noise."""
     commands = np.array(list(commands_v), float)

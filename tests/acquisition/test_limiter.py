@@ -1,4 +1,6 @@
-"""What stops the motor."""
+"""What stops the motor, and the rules of what holds it back; what comes of them is in `test_hold_back.py`."""
+
+import math
 
 import numpy as np
 import pytest
@@ -6,10 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition.blocks import SAMPLE, Flag
-from acquisition.limiter import why_stop
-from config.load import load_tool
+from acquisition.limiter import HoldBack, ThresholdInForce, middle_of, why_stop
+from config.load import load_library, load_settings, load_tool
 
-LIMITS = load_tool("simulated").limits
+TOOL = load_tool("simulated")
+LIMITS = TOOL.limits
+LIBRARY = load_library("porcine")
+LOWEST_N, HIGHEST_N = LIBRARY.lowest_threshold_n, LIBRARY.threshold_n("small_bowel")
 CEILING_N = 6.0  # above the highest injury threshold of the paper's tissues, 5.63 N
 UNKNOWN = "the force is not known"
 
@@ -66,3 +71,106 @@ def test_between_grasps_an_encoder_that_walked_out_of_range_does_not() -> None:
 def test_a_bad_sample_does_not_hide_a_force_over_the_ceiling() -> None:
     bad = Flag.IN_GRASP | Flag.INVALID
     assert why_stop(LIMITS, block([50.0, 50.0, np.nan, 50.0, 50.0], [Flag.IN_GRASP] * 2 + [bad] + [Flag.IN_GRASP] * 2))
+
+
+# --- the threshold in force ------------------------------------------------------------------------------------------
+
+EXPIRES = 100
+
+
+@pytest.mark.parametrize(
+    ("told_tick", "now", "grasp_start", "counts"),
+    [
+        (500, 500, 400, True),
+        (500, 600, 400, True),
+        (500, 601, 400, False),  # stale
+        (500, 510, 500, True),
+        (500, 510, 501, False),  # of an earlier grasp
+        (500, 499, 400, False),  # of a time to come: of another count of samples
+    ],
+)
+def test_a_threshold_counts_while_it_is_fresh_and_of_this_grasp(told_tick, now, grasp_start, counts) -> None:
+    threshold = ThresholdInForce(LIBRARY, EXPIRES)
+    assert threshold.at(now, grasp_start) == LOWEST_N
+    threshold.tell(3.4, told_tick)
+    assert threshold.at(now, grasp_start) == (3.4 if counts else LOWEST_N)
+
+
+@pytest.mark.parametrize("threshold_n", [math.nan, math.inf, -math.inf, 0.0, 0.99 * LOWEST_N, 1.01 * HIGHEST_N])
+def test_a_threshold_that_no_tissue_of_the_library_can_have_is_not_followed(threshold_n: float) -> None:
+    threshold = ThresholdInForce(LIBRARY, EXPIRES)
+    threshold.tell(threshold_n, 500)
+    assert threshold.at(500, 400) == LOWEST_N
+
+
+@given(st.lists(st.tuples(st.floats(0, 10), st.integers(0, 2000)), max_size=5), st.integers(0, 2000))
+def test_the_newest_word_decides_and_the_lowest_is_never_undercut(told: list[tuple[float, int]], now: int) -> None:
+    threshold = ThresholdInForce(LIBRARY, EXPIRES)
+    for threshold_n, tick in told:
+        threshold.tell(threshold_n, tick)
+    in_force = threshold.at(now, 0)
+    assert in_force in (LOWEST_N, *(threshold_n for threshold_n, _ in told[-1:]))
+    assert LOWEST_N <= in_force <= HIGHEST_N
+
+
+# --- holding back -----------------------------------------------------------------------------------------------------
+
+ANY_FORCE = st.floats(-20, 20) | st.just(math.nan)
+
+
+@given(st.lists(ANY_FORCE, min_size=1, max_size=9))
+def test_the_middle_force_is_one_that_was_measured_or_none(force_n: list[float]) -> None:
+    known = sorted(value for value in force_n if math.isfinite(value))
+    middle = middle_of(force_n)
+    assert (middle is None) == (not known)
+    if known:
+        assert sum(value < middle for value in known) <= len(known) / 2
+        assert sum(value > middle for value in known) <= len(known) / 2
+
+
+def in_a_grasp(number: int, force_n: list[float], contact_tick: int) -> np.ndarray:
+    samples = block(force_n)
+    samples["tick"] = 5 * number + np.arange(5)
+    samples["contact_tick"] = contact_tick
+    return samples
+
+
+@given(
+    blocks=st.lists(
+        st.tuples(st.lists(ANY_FORCE, min_size=5, max_size=5), st.floats(0, LIMITS.max_command_v)), max_size=40
+    ),
+    contact_tick=st.integers(-1, 200),
+    told_n=st.floats(allow_nan=True, allow_infinity=True),
+)
+def test_whatever_is_felt_the_command_is_never_more_than_asked_for_nor_less_than_zero(
+    blocks: list[tuple[list[float], float]], contact_tick: int, told_n: float
+) -> None:
+    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    for number, (force_n, wanted_v) in enumerate(blocks):
+        hold_back.allow(told_n, 5 * number)
+        command_v, flags = hold_back.judge(in_a_grasp(number, force_n, contact_tick), wanted_v)
+        assert 0.0 <= command_v <= wanted_v
+        assert (command_v < wanted_v) == bool(flags & Flag.HELD_BACK)
+        if flags & Flag.LET_GO:
+            assert command_v == 0.0
+
+
+def test_a_grasp_that_was_let_go_stays_so_until_the_protocol_asks_for_zero() -> None:
+    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    for number in range(40):
+        hold_back.judge(in_a_grasp(number, [1.5] * 5, 0), 2.0)
+    let_go = Flag.HELD_BACK | Flag.LET_GO
+    assert hold_back.judge(in_a_grasp(40, [LOWEST_N + 0.01] * 5, 0), 2.0) == (0.0, let_go)
+    assert hold_back.judge(in_a_grasp(41, [0.0] * 5, 0), 1.0) == (0.0, let_go)
+    assert hold_back.judge(in_a_grasp(42, [0.0] * 5, -1), 0.0) == (0.0, 0)
+    command_v, flags = hold_back.judge(in_a_grasp(43, [0.0] * 5, -1), 0.5)
+    assert command_v > 0
+    assert not flags & Flag.LET_GO
+
+
+def test_a_force_that_is_not_known_lets_nothing_go_and_leaves_the_limit() -> None:
+    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    for number in range(40):
+        command_v, flags = hold_back.judge(in_a_grasp(number, [math.nan] * 5, 0), 3.5)
+        assert flags == Flag.HELD_BACK
+        assert command_v == pytest.approx(2.5, abs=0.01)  # what the map tells for 1.80 N

@@ -1,0 +1,54 @@
+"""The force limit's way back, over real sockets."""
+
+import time
+from pathlib import Path
+
+import zmq
+
+from acquisition import bus
+
+
+def taken(socket: zmq.Socket) -> bus.ForceLimit | None:
+    return bus.unpack_limit(socket.recv()) if socket.poll(0) else None
+
+
+def until_taken(socket: zmq.Socket, publisher: zmq.Socket, limit: bus.ForceLimit) -> None:
+    """Publish until the subscription has reached the publisher."""
+    deadline = time.monotonic() + 10
+    while taken(socket) != limit:
+        publisher.send(bus.pack_limit(limit))
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_only_the_newest_limit_is_read_and_nobody_waits_for_one(tmp_path: Path) -> None:
+    address = bus.Endpoints.in_folder(tmp_path).limits
+    context = zmq.Context()
+    try:
+        socket = bus.newest_of(context, address)  # before there is an estimator
+        assert taken(socket) is None
+        publisher = bus.publisher(context, address)
+        until_taken(socket, publisher, bus.ForceLimit(2.25, None, 0))
+        for tick in range(1000):
+            publisher.send(bus.pack_limit(bus.ForceLimit(3.38, "liver", tick)))
+        newest = bus.ForceLimit(3.38, "liver", 999)
+        deadline = time.monotonic() + 10
+        while (limit := taken(socket)) != newest:
+            assert time.monotonic() < deadline, limit
+        assert taken(socket) is None
+    finally:
+        context.destroy(linger=0)
+
+
+def test_a_new_estimator_is_heard_at_the_same_address(tmp_path: Path) -> None:
+    address = bus.Endpoints.in_folder(tmp_path).limits
+    context = zmq.Context()
+    try:
+        socket = bus.newest_of(context, address)
+        for tick in (1, 2):
+            publisher = bus.publisher(context, address)
+            until_taken(socket, publisher, bus.ForceLimit(2.25, None, tick))
+            publisher.close(linger=0)
+            time.sleep(0.05)  # the address is free again
+    finally:
+        context.destroy(linger=0)
