@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from acquisition.nidaq import NidaqTool
+from config.load import holdable
 from config.schema import TissueLibrary, Tool, ToolKind
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def open_tool(
     from acquisition.simulation.grasper import SimulatedGrasper
     from acquisition.simulation.service import in_process_options
 
-    grasper = SimulatedGrasper(tool, library, tissue, seed)
+    grasper = SimulatedGrasper(tool, holdable(library), tissue, seed)
     board = SimulatedBoard(tool, grasper, VirtualClock() if virtual else RealClock())
     clock: Callable[[], int] = board.clock.now_ns if virtual else time.monotonic_ns
     return NidaqTool(tool, in_process_options(board), clock), grasper

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from config.load import load_library, load_protocol
+from estimator.studies.catalogue import MOST_GRASPS, STUDIES, StudyEntry
 
 if TYPE_CHECKING:
     from estimator.studies.course import Bench
@@ -24,8 +25,11 @@ app = typer.Typer(
 )
 errors = Console(stderr=True, highlight=False)
 SAYS_AFTER, SAYS_AFTER_S = 0.05, 1.0  # of the cases, and seconds, when there is no terminal for a bar
+FOLDER = Path("studies")
 
-GraspsOption = Annotated[int, typer.Option(min=1, max=100_000, help="Grasps of each tissue (and of each condition).")]
+GraspsOption = Annotated[
+    int, typer.Option(min=1, max=MOST_GRASPS, help="Grasps of each tissue (and of each condition).")
+]
 SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens, noise and guesses.")]
 NoiseOption = Annotated[
     float, typer.Option(min=0.05, max=100, help="Noise of the strain gage, mV; known to the estimator.")
@@ -42,92 +46,62 @@ JobsOption = Annotated[int | None, typer.Option(min=1, help="Processes; default:
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the JSON instead of a table.")]
 
 
-@app.command()
-def paper(
-    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Noises and wrong guesses of each tissue.")] = 10,
-    seed: SeedOption = 0, out: OutOption = Path("studies"), jobs: JobsOption = None, as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Tables III, IV and V and Figures 4 and 5 of the paper, beside its own scheme and ours."""
-    from estimator.studies.paper import paper as study
+def _with_seeds(study: StudyEntry) -> Callable[..., None]:
+    def command(
+        seeds: Annotated[
+            int, typer.Option(min=1, max=study.most, help="Noises and wrong guesses of each tissue.")
+        ] = study.usual,
+        seed: SeedOption = 0, out: OutOption = FOLDER, jobs: JobsOption = None, as_json: JsonOption = False,
+    ) -> None:  # fmt: skip
+        from estimator.studies.course import Bench  # takes a second
 
-    _show(_run("paper", study, jobs, seeds, seed), out, as_json)
+        _show(_run(study, Bench(), seeds, seed, jobs), out, as_json)
 
-
-@app.command()
-def identify(
-    grasps: GraspsOption = 250, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
-    protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
-    thickness: ThicknessOption = True, seed: SeedOption = 0, out: OutOption = Path("studies"), jobs: JobsOption = None,
-    as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Share right against time beside the Bayes limit, confusion, calibration, decisions, errors of parameters."""
-    from estimator.studies.identify import identify as study
-
-    bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
-    _show(_run("identify", study, jobs, bench, grasps, seed), out, as_json)
+    return command
 
 
-@app.command()
-def unknown(
-    grasps: GraspsOption = 100, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
-    protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
-    thickness: ThicknessOption = True, seed: SeedOption = 0, out: OutOption = Path("studies"), jobs: JobsOption = None,
-    as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Tissues and things outside the library: called unknown? And the library's own: wrongly so?"""
-    from estimator.studies.unknown import unknown as study
+def _with_thickness(study: StudyEntry) -> Callable[..., None]:
+    def command(
+        grasps: GraspsOption = study.usual, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
+        protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
+        thickness: ThicknessOption = True, seed: SeedOption = 0, out: OutOption = FOLDER, jobs: JobsOption = None,
+        as_json: JsonOption = False,
+    ) -> None:  # fmt: skip
+        bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
+        _show(_run(study, bench, grasps, seed, jobs), out, as_json)
 
-    bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
-    _show(_run("unknown", study, jobs, bench, grasps, seed), out, as_json)
-
-
-@app.command()
-def initial(
-    grasps: GraspsOption = 2, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
-    protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
-    seed: SeedOption = 0, out: OutOption = Path("studies"), jobs: JobsOption = None, as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Guesses of alpha and beta off by 0.1 to 10 times: share converged within 0.3 s, beside the paper's filter."""
-    from estimator.studies.initial import initial as study
-
-    bench = _bench(protocol, library, noise_mv, spread, touch, thickness=True)
-    _show(_run("initial", study, jobs, bench, grasps, seed), out, as_json)
+    return command
 
 
-@app.command()
-def mismatch(
-    grasps: GraspsOption = 100, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
-    protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
-    thickness: ThicknessOption = True, seed: SeedOption = 0, out: OutOption = Path("studies"), jobs: JobsOption = None,
-    as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Truth that differs from the model: damping, relaxation, late touch, scales, motion, mass, friction."""
-    from estimator.studies.mismatch import mismatch as study
+def _without_thickness(study: StudyEntry) -> Callable[..., None]:
+    def command(
+        grasps: GraspsOption = study.usual, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
+        protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
+        seed: SeedOption = 0, out: OutOption = FOLDER, jobs: JobsOption = None, as_json: JsonOption = False,
+    ) -> None:  # fmt: skip
+        _show(_run(study, _bench(protocol, library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json)
 
-    bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
-    _show(_run("mismatch", study, jobs, bench, grasps, seed), out, as_json)
+    return command
 
 
-@app.command()
-def estimators(
-    grasps: GraspsOption = 60, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
-    protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
-    seed: SeedOption = 0, out: OutOption = Path("studies"), jobs: JobsOption = None, as_json: JsonOption = False,
-) -> None:  # fmt: skip
-    """Ours, the paper's filter, an unscented and a particle filter on the same grasps."""
-    from estimator.studies.estimators import estimators as study
-
-    bench = _bench(protocol, library, noise_mv, spread, touch, thickness=False)
-    _show(_run("estimators", study, jobs, bench, grasps, seed), out, as_json)
+def _command(study: StudyEntry) -> Callable[..., None]:
+    """The study as a command, with the options that mean something to it."""
+    if not study.on_bench:
+        return _with_seeds(study)
+    return _with_thickness(study) if study.weighs_thickness else _without_thickness(study)
 
 
-def _run(title: str, study: Callable[..., "Study"], jobs: int | None, *asked: object) -> "Study":
-    """Carry out a study of what was asked, and show how far it is."""
-    with _Progress(title) as progress:
-        return study(*asked, progress, jobs)
+for entry in STUDIES.values():
+    app.command(entry.name, help=entry.title)(_command(entry))
 
 
-def _bench(protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool) -> "Bench":
+def _run(study: StudyEntry, bench: "Bench", grasps: int, seed: int, jobs: int | None) -> "Study":
+    """Carry out a study, and show how far it is."""
+    with _Progress(study.name) as progress:
+        return study.carry_out(bench, grasps, seed, progress, jobs)
+
+
+def _bench(protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool = True) -> "Bench":
     """What the grasps have in common; a wrong name is told before anything starts.
 
     Raises:

@@ -31,6 +31,17 @@ def load_library(name: str) -> TissueLibrary:
     return _load_named(name, "tissues", "tissue library", TissueLibrary)
 
 
+def holdable(library: TissueLibrary) -> TissueLibrary:
+    """What a simulated grasper can be told to hold: the library's tissues, and things that are not in it."""
+    strangers = load_library("strangers")
+    others = {
+        name: profile.model_copy(update={"spread": strangers.spread_of(name)})
+        for name, profile in strangers.tissues.items()
+        if name not in library.tissues
+    }
+    return library.model_copy(update={"tissues": {**library.tissues, **others}})
+
+
 def load_protocol(name: str) -> Protocol:
     return _load_named(name, "protocols", "protocol", Protocol)
 

@@ -1,35 +1,9 @@
 """What the studies put between the jaws besides the library's tissues, and how truth differs from the model."""
 
 from acquisition.simulation.tissue import Deviation
-from config.schema import Spread, TissueLibrary, TissueProfile
+from config.load import load_library
 
-FILLS_THE_JAWS_M = 0.026
-NARROW = Spread(log_alpha=0.25, log_beta=0.10, log_damping=0.30)
-
-
-def _thing(title: str, alpha_n: float, beta_per_m: float, damping_kg_per_s: float, thickness_m: float) -> TissueProfile:
-    return TissueProfile(
-        title=title, alpha_n=alpha_n, beta_per_m=beta_per_m, damping_kg_per_s=damping_kg_per_s,
-        thickness_m=thickness_m, threshold_pa=60e3, spread=NARROW,
-    )  # fmt: skip
-
-
-STRANGERS = TissueLibrary(
-    name="strangers",
-    title="Things outside the default library",
-    source="assumed; spleen about 1/36 of liver's stiffness, the rest about the library's tissues",
-    mass_kg=0.005,
-    jaw_area_m2=56.3e-6,
-    spread=NARROW,
-    tissues={
-        "spleen": _thing("Spleen, 1/36 of liver", 0.8492 / 36, 1909.0, 3.1, 0.0075),
-        "fibrotic_liver": _thing("Liver, 6 times as stiff", 0.8492 * 6, 1909.0, 6.0, 0.0075),
-        "fibrotic_bowel": _thing("Small bowel, 8 times as stiff", 0.5189 * 8, 2158.0, 6.0, 0.0055),
-        "foam": _thing("Foam: walls buckle, then it densifies", 0.004, 900.0, 4.0, FILLS_THE_JAWS_M),
-        "instrument": _thing("Another instrument, 200 kN/m", 400.0, 500.0, 20.0, 0.005),
-        "empty_jaws": _thing("Nothing: jaw on jaw", 400.0, 500.0, 20.0, 0.0002),
-    },
-)
+STRANGERS = load_library("strangers")
 
 FOAM = Deviation(plateau_n=0.6, plateau_m=4e-4)
 DEVIATION_OF = {"foam": FOAM}

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from config.errors import ConfigurationError
-from config.load import CONFIG_DIR, available, load_library, load_protocol, load_settings, load_tool
+from config.load import CONFIG_DIR, available, holdable, load_library, load_protocol, load_settings, load_tool
 from config.schema import Settings, TissueLibrary, Tool
 
 LOADERS = {"tools": load_tool, "tissues": load_library, "protocols": load_protocol}
@@ -104,11 +104,19 @@ def test_as_printed_two_newton_compress_a_bladder_to_ten_times_its_thickness() -
     assert as_printed(displacement_m(printed, "bladder", 2.0) * 1e3, "293")
 
 
-@pytest.mark.parametrize("name", available("tissues"))
+@pytest.mark.parametrize("name", ["porcine", "paper_table2"])
 def test_injury_thresholds_are_the_papers(name: str) -> None:
     thresholds = {tissue: load_library(name).threshold_n(tissue) for tissue in TISSUES}
     assert all(as_printed(thresholds[tissue], THRESHOLD_N[tissue]) for tissue in TISSUES)
     assert load_library(name).lowest_threshold_n == min(thresholds.values())
+
+
+def test_a_simulated_grasper_can_hold_more_than_the_library_has() -> None:
+    library = load_library("porcine")
+    wider = holdable(library)
+    assert set(wider.tissues) == set(library.tissues) | set(load_library("strangers").tissues)
+    assert all(wider.tissues[name] == profile for name, profile in library.tissues.items())
+    assert wider.spread_of("spleen") == load_library("strangers").spread_of("spleen")
 
 
 @pytest.mark.parametrize("name", available("tools"))
@@ -247,6 +255,8 @@ def test_a_simulated_tool_needs_its_mechanics(tmp_path: Path) -> None:
         (("low = 0.7", "low = 0.95"), "low < medium < high"),
         (("port = 8000", "port = 70000"), "server.port"),
         (("prior_unknown = 0.05", "prior_unknown = 0.0"), "identification.prior_unknown"),
+        (("margin = 0.8", "margin = 1.0"), "limiter.margin"),
+        (("limit_expires_s = 0.1", "limit_expires_s = 0.0"), "limiter.limit_expires_s"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(tmp_path: Path, change: tuple[str, str], told: str) -> None:
