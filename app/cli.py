@@ -2,6 +2,7 @@
 
 import json
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ from rich.table import Table
 
 from app import __version__, studies
 from config.errors import ConfigurationError, GraspwatchError, ToolError
-from config.load import choose, load_library, load_protocol, load_settings, load_tool
+from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
 from config.schema import Settings, Tool, ToolKind
 
 app = typer.Typer(
@@ -34,6 +35,11 @@ LibraryOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens and noise; the same seed gives the same grasps.")]
+DataOption = Annotated[
+    Path | None,
+    typer.Option("--data", metavar="FOLDER", help="Journal, recordings and studies; default: as configured."),
+]
+RECORDED_WITH = "smart_tool_2013"
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of config/graspwatch.toml.")
 ]
@@ -58,6 +64,7 @@ def serve(
     host: Annotated[str | None, typer.Option(help="Address to listen on; 0.0.0.0 for the whole network.")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen on; 0 for a free one.")] = None,
     config: ConfigOption = None,
+    data: DataOption = None,
     demo: Annotated[bool, typer.Option("--demo", help="Repeat a protocol on each tissue in turn.")] = False,
 ) -> None:
     """Start the service: dashboard, REST and live stream, with a tool under it.
@@ -72,12 +79,13 @@ def serve(
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings. Use `graspwatch replay FILE --serve`.")
     if chosen.kind is not ToolKind.SIMULATED and (tissue or demo):
         raise ConfigurationError("--tissue and --demo are for the simulated grasper; leave them out for a real tool.")
-    held = choose(tissue, list(library.tissues), "tissue") if tissue else next(iter(library.tissues))
+    held = choose(tissue, list(holdable(library).tissues), "tissue") if tissue else next(iter(library.tissues))
     if chosen.kind is ToolKind.NIDAQ:
         from acquisition.nidaq import check_driver
 
         check_driver(chosen)
-    _serve(ServicePlan(chosen, library, settings, held, seed, demo=demo), host, port)
+    rig = load_tool(RECORDED_WITH)
+    _serve(ServicePlan(chosen, library, settings, held, seed, _data_folder(data, settings), rig, demo=demo), host, port)
 
 
 @app.command()
@@ -97,7 +105,7 @@ def run(
     """
     settings = load_settings(config)
     profiles, wanted = load_library(library or settings.library), load_protocol(protocol)
-    choose(tissue, list(profiles.tissues), "tissue")
+    choose(tissue, list(holdable(profiles).tissues), "tissue")
 
     from app.headless import run_protocol  # takes a second: not before the request is known to be sound
 
@@ -119,15 +127,15 @@ def replay(
     library: LibraryOption = None,
     tool: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Tool file with the recording's channels and calibration.")
-    ] = "smart_tool_2013",
+    ] = RECORDED_WITH,
     speed: Annotated[
-        float | None,
-        typer.Option(min=0.01, max=1000, help="Times real time; default: as fast as it goes, or 1 with --serve."),
+        float | None, typer.Option(min=0.01, max=1000, help="Times real time; default: as fast as it goes.")
     ] = None,
-    serve_it: Annotated[bool, typer.Option("--serve", help="Watch it in the dashboard.")] = False,
+    serve_it: Annotated[bool, typer.Option("--serve", help="Watch it in the dashboard, with pause and seek.")] = False,
     host: Annotated[str | None, typer.Option(help="With --serve: address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="With --serve: port to listen on.")] = None,
     config: ConfigOption = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Take recordings through calibration, conditioning, estimation and identification.
@@ -147,9 +155,10 @@ def replay(
     from app.plan import ServicePlan
 
     if serve_it:
-        if as_json:
-            raise ConfigurationError("--serve shows the recording in the dashboard; leave --json out.")
-        plan = ServicePlan(rig, profiles, settings, next(iter(profiles.tissues)), 0, tuple(files), speed or 1.0)
+        if as_json or speed is not None:
+            raise ConfigurationError("--serve shows the recording in the dashboard; leave --json and --speed out.")
+        held, folder = next(iter(profiles.tissues)), _data_folder(data, settings)
+        plan = ServicePlan(rig, profiles, settings, held, 0, folder, rig, tuple(files))
         _serve(plan, host, port)
         return
     documents = []
@@ -157,6 +166,25 @@ def replay(
         with _progress(path.name, 1.0) as progress:
             documents.append(replay_recording(path, rig, profiles, settings, speed=speed, progress=progress).document())
     _print_reports(documents, as_json)
+
+
+def _data_folder(wanted: Path | None, settings: Settings) -> Path:
+    """The folder for everything that is kept, made where it is missing.
+
+    Raises:
+        ConfigurationError: it cannot be made or written to.
+    """
+    folder = wanted or Path(settings.data_folder)
+    try:
+        for name in ("recordings", "studies"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ConfigurationError(
+            f"{folder}: is no folder to keep data in ({error.strerror}). Name another with --data."
+        ) from None
+    return folder.resolve()
 
 
 def _simulated_tool(settings: Settings) -> Tool:
@@ -173,11 +201,12 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
     listener = listen(host or server.host, server.port if port is None else port)
     address, bound = listener.getsockname()[:2]
     shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else address
-    what = f"replay of {', '.join(path.name for path in plan.recordings)}" if plan.recordings else plan.tool.title
+    what = f"replay of {', '.join(path.name for path in plan.opened)}" if plan.opened else plan.tool.title
     errors.print(f"Graspwatch {__version__}: {what}. Research instrument, not a medical device.", soft_wrap=True)
-    errors.print(
-        "Preparing the filters; the very first start compiles them, which takes up to a minute.", soft_wrap=True
-    )
+    if not plan.opened:
+        errors.print(
+            "Preparing the filters; the very first start compiles them, which takes up to a minute.", soft_wrap=True
+        )
     print(f"Dashboard: http://{shown}:{bound}/  (API: http://{shown}:{bound}/docs)  Ctrl+C ends it.", flush=True)
     serve_plan(plan, listener)
 

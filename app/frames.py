@@ -18,21 +18,23 @@ SAMPLE_COLUMNS = {
 }
 ESTIMATE_COLUMNS = {"threshold_n": "N", "probability_unknown": ""}
 TISSUE_COLUMNS = {"probability": "", "force_n": "N", "alpha_n": "N", "beta_per_m": "1/m", "damping_kg_per_s": "kg/s"}
+SD_COLUMNS = ("log_alpha_sd", "log_beta_sd", "log_damping_sd")  # of the natural logarithms, as in `log_sd`
 
 
 def channels(tissues: list[str]) -> list[ChannelInfo]:
     """The columns of a frame in their order."""
     common = [ChannelInfo(name=name, unit=unit) for name, unit in {**SAMPLE_COLUMNS, **ESTIMATE_COLUMNS}.items()]
-    each = [
-        ChannelInfo(name=name, unit=unit, tissue=tissue) for tissue in tissues for name, unit in TISSUE_COLUMNS.items()
-    ]
+    of_tissue = TISSUE_COLUMNS | dict.fromkeys(SD_COLUMNS, "")
+    each = [ChannelInfo(name=name, unit=unit, tissue=tissue) for tissue in tissues for name, unit in of_tissue.items()]
     return common + each
 
 
 def columns_of(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:
     """Float32 columns, (channels, n), of samples and their estimates."""
     rows = [samples[name] for name in SAMPLE_COLUMNS] + [estimates[name] for name in ESTIMATE_COLUMNS]
-    rows += [estimates[name][:, k] for k in range(tissues) for name in TISSUE_COLUMNS]
+    for k in range(tissues):
+        rows += [estimates[name][:, k] for name in TISSUE_COLUMNS]
+        rows += [estimates["log_sd"][:, k, i] for i in range(len(SD_COLUMNS))]
     return np.array(rows, np.float32)
 
 

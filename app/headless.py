@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from acquisition.control import Acquisition, RunEnd, RunEnded
+from acquisition.limiter import HoldBack
 from acquisition.pipeline import Pipeline
 from acquisition.recording import Recording
 from acquisition.tools import open_tool
 from config.schema import Protocol, Settings, TissueLibrary, Tool
 from estimator.blocks import GraspRecord
 from estimator.session import EstimationSession
+from estimator.worker import limit_of
 
 Progress = Callable[[float], None]
 
@@ -53,7 +55,8 @@ def run_protocol(
     session = EstimationSession(tool, library, settings)
     source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
     with source:
-        acquisition = Acquisition(source, tool, settings.conditioning)
+        hold_back = HoldBack(tool, library, settings.limiter)
+        acquisition = Acquisition(source, tool, settings.conditioning, hold_back)
         acquisition.start("run", protocol, cycles)
         ended: list[RunEnded] = []
         while not ended:
@@ -62,7 +65,10 @@ def run_protocol(
                 break
             report.samples += len(block.samples)
             report.lost_samples += block.lost_samples
-            report.grasps += session.process(block).ended
+            estimate = session.process(block)
+            report.grasps += estimate.ended
+            limit = limit_of(estimate.identification)
+            acquisition.allow(limit.threshold_n, limit.tick)
             ended = acquisition.take_ended()
             progress(report.samples / tool.board.sample_rate_hz)
     if last := session.finish():

@@ -8,19 +8,24 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI, Request, Response
+from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from fastapi_offline import FastAPIOffline
 from starlette.middleware.base import RequestResponseEndpoint
 
 from app import __version__, problems
 from app.demo import demonstrate
+from app.films import Films
 from app.plan import ServicePlan
-from app.routes import catalogue, live, runs
+from app.recordings import Shelf
+from app.routes import alarms, catalogue, live, recordings, runs, studies, system
 from app.station import Station
+from app.study_runs import StudyDesk
 from config.errors import ServiceError
 
 STATIC = Path(__file__).parent / "static"
 DEAD_READER_MS = 10_000
+PAGES = ("/", "/recordings", "/recordings/{name}", "/tissues", "/studies", "/system")
 DOCUMENTATION = ("/docs", "/redoc", "/static-offline-docs")
 
 
@@ -30,14 +35,17 @@ def create_app(plan: ServicePlan) -> FastAPI:
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         station = app.state.station = Station(plan)
+        desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
+        films, shelf = contextlib.aclosing(Films(plan)), contextlib.aclosing(Shelf(plan))
         await station.start()
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
-        try:
-            yield
-        finally:
-            if demo:
-                demo.cancel()
-            await station.stop()
+        async with desk as app.state.studies, films as app.state.films, shelf as app.state.shelf:
+            try:
+                yield
+            finally:
+                if demo:
+                    demo.cancel()
+                await station.stop()
 
     app = FastAPIOffline(
         title="Graspwatch",
@@ -46,14 +54,21 @@ def create_app(plan: ServicePlan) -> FastAPI:
         lifespan=lifespan,
     )
     problems.install(app)
-    for router in (runs.router, catalogue.router, live.router):
-        app.include_router(router)
+    for routes in (runs, alarms, catalogue, system, studies, recordings, live):
+        app.include_router(routes.router)
     app.middleware("http")(_add_security_headers)
     if (STATIC / "index.html").is_file():
-        app.mount("/", StaticFiles(directory=STATIC, html=True), name="dashboard")
+        for page in PAGES:
+            app.get(page, include_in_schema=False)(_dashboard)
+        app.mount("/", StaticFiles(directory=STATIC), name="dashboard")
     else:
         app.get("/", include_in_schema=False)(_dashboard_missing)
     return app
+
+
+async def _dashboard() -> FileResponse:
+    """Every page is the same document; it shows what its address says."""
+    return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
 
 async def _dashboard_missing() -> Response:
@@ -64,7 +79,7 @@ async def _add_security_headers(request: Request, call_next: RequestResponseEndp
     response = await call_next(request)
     documentation = request.url.path.startswith(DOCUMENTATION)  # its pages carry a script of their own
     policy = "default-src 'self' 'unsafe-inline'; img-src 'self' data:" if documentation else "default-src 'self'"
-    response.headers["Content-Security-Policy"] = policy
+    response.headers.setdefault("Content-Security-Policy", policy)  # a route may have set a narrower one
     response.headers["X-Content-Type-Options"] = "nosniff"
     response.headers["Referrer-Policy"] = "no-referrer"
     return response

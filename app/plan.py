@@ -8,13 +8,26 @@ from config.schema import Settings, TissueLibrary, Tool
 
 @dataclass(frozen=True, slots=True)
 class ServicePlan:
-    """`recordings` are shown instead of a tool; `demo` repeats a protocol on each tissue in turn."""
+    """`data` is the folder for everything that is kept. `recorded_with` is the tool file of recordings.
+
+    With `opened` there is no tool: the service only shows these recordings. `demo` repeats a protocol on each tissue in
+    turn.
+    """
 
     tool: Tool
     library: TissueLibrary
     settings: Settings
     tissue: str
     seed: int
-    recordings: tuple[Path, ...] = ()
-    speed: float = 1.0
+    data: Path
+    recorded_with: Tool
+    opened: tuple[Path, ...] = ()
     demo: bool = False
+
+    @property
+    def recordings_folder(self) -> Path:
+        return self.data / "recordings"
+
+    @property
+    def studies_folder(self) -> Path:
+        return self.data / "studies"

@@ -10,6 +10,8 @@ from starlette.exceptions import HTTPException
 from app.wire import Problem
 from config.errors import GraspwatchError
 
+PROBLEM = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}
+
 
 class ProblemError(Exception):
     """A request that cannot be met; `field` names the part of the body at fault."""

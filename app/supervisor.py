@@ -30,7 +30,6 @@ class Condition(StrEnum):
 
     STARTING = "starting"
     RUNNING = "running"
-    ENDED = "ended"
     FAULTED = "faulted"
 
 
@@ -57,7 +56,7 @@ class Supervisor:
         self._ending = False
         acquisition = acquisition_worker.Setup(
             os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings.conditioning,
-            plan.tissue, plan.seed, plan.recordings, plan.speed,
+            plan.tissue, plan.seed, plan.settings.limiter,
         )  # fmt: skip
         estimator = estimator_worker.Setup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
         self.workers = {
@@ -84,9 +83,6 @@ class Supervisor:
             self._zero_motor()
         if self._ending:
             return
-        if process.exitcode == 0 and self._plan.recordings and worker.name == "acquisition":
-            worker.condition = Condition.ENDED
-            return
         worker.deaths.append(time.monotonic())
         often = len(worker.deaths) > RESTARTS_A_MINUTE and worker.deaths[-1] - worker.deaths[0] < 60.0
         final = often or process.exitcode == ToolError.exit_code
@@ -99,7 +95,7 @@ class Supervisor:
 
     def _zero_motor(self) -> None:
         """The board holds its last output when its owner dies; only a reset brings it to zero."""
-        if self._plan.tool.kind is not ToolKind.NIDAQ or self._plan.recordings:
+        if self._plan.tool.kind is not ToolKind.NIDAQ:
             return
         try:
             reset_device(self._plan.tool)

@@ -2,6 +2,8 @@
 
 `/api/live` sends one `Hello`, then JSON messages (never dropped) and binary sample frames (the oldest are dropped
 for a viewer that is slow). A viewer answers each frame with `FrameReceived`. TypeScript types are generated from here.
+`/api/recordings/{name}/replay` sends the same of a recording, with a `ReplayState` at every change and ten times a
+second, and obeys `ReplayControl`; after a jump it begins again with a `Hello`.
 
 Binary frame, little-endian: `FRAME_HEADER`, then `columns` float32 columns of `rows` values each, in the order of
 `Hello.channels`; NaN means "no value". Rows are consecutive ticks (1 tick = 1 sample) beginning at `first_tick`.
@@ -9,14 +11,14 @@ Binary frame, little-endian: `FRAME_HEADER`, then `columns` float32 columns of `
 
 import struct
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from config.schema import ToolKind
 from estimator.alarms import Priority
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 # magic, kind, stride (reserved, 1), columns, rows, sequence, first_tick, newest_ms
 FRAME_HEADER = struct.Struct("<4sBBHIIdd")
@@ -33,6 +35,9 @@ class FrameKind(StrEnum):
 FRAME_KINDS = {FrameKind.LIVE: 0, FrameKind.HISTORY: 1}
 
 
+Person = Annotated[str, Field(min_length=1, max_length=40, pattern=r"\S")]
+
+
 class Wire(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
 
@@ -43,8 +48,8 @@ class Phase(StrEnum):
     STARTING = "starting"
     IDLE = "idle"
     RUNNING = "running"
-    REPLAYING = "replaying"
-    ENDED = "ended"
+    REPLAY = "replay"
+    """There is no tool, only recordings."""
     FAULTED = "faulted"
 
 
@@ -68,6 +73,23 @@ class ChannelInfo(Wire):
     tissue: str | None = None
 
 
+class HoldableInfo(Wire):
+    """Something that the simulated grasper can be told to hold."""
+
+    name: str
+    title: str
+    in_library: bool
+
+
+class SpreadInfo(Wire):
+    """Standard deviations of natural logarithms from specimen to specimen."""
+
+    log_alpha: float
+    log_beta: float
+    log_damping: float
+    log_thickness: float
+
+
 class TissueInfo(Wire):
     """A profile of the library in use."""
 
@@ -78,6 +100,19 @@ class TissueInfo(Wire):
     damping_kg_per_s: float
     thickness_m: float
     threshold_n: float
+    threshold_pa: float
+    spread: SpreadInfo
+
+
+class LibraryInfo(Wire):
+    """The tissue library in use."""
+
+    name: str
+    title: str
+    source: str
+    mass_kg: float
+    jaw_area_m2: float
+    tissues: list[TissueInfo]
 
 
 class ToolInfo(Wire):
@@ -88,6 +123,7 @@ class ToolInfo(Wire):
     max_command_v: float
     force_ceiling_n: float
     calibration_date: str
+    calibrated_by: str
 
 
 class ProtocolInfo(Wire):
@@ -113,6 +149,13 @@ class RunRequest(Wire):
     protocol: str = Field(description="Name of a protocol, see GET /api/protocols")
     cycles: Annotated[int, Field(ge=1, le=10_000)] | None = Field(None, description="Grasps; null: the protocol's")
     tissue: str | None = Field(None, description="What the simulated grasper holds; refused for a real tool")
+    by: Person | None = Field(None, description="Who asks for it")
+
+
+class StopRequest(Wire):
+    """May be left out altogether: a stop needs no words."""
+
+    by: Person | None = None
 
 
 class Run(Wire):
@@ -122,6 +165,7 @@ class Run(Wire):
     protocol: str
     cycles: int
     tissue: str | None
+    by: str | None = Field(description="Who started it")
     state: RunState
     started_at: str
     ended_at: str | None
@@ -149,6 +193,8 @@ class Grasp(Wire):
     force_error_n: dict[str, float | None]
     valid: bool
     why_invalid: str | None
+    alarms: list[Priority] = Field(description="Force warnings during it, the highest of each rise")
+    held_back: bool = Field(description="Whether the limiter held the motor back")
 
 
 class Hello(Wire):
@@ -159,9 +205,10 @@ class Hello(Wire):
     version: str
     server_time_ms: float
     tool: ToolInfo
-    library: str
-    tissues: list[TissueInfo]
+    library: LibraryInfo
+    holdable: list[HoldableInfo] = Field(description="Empty for a real tool")
     lowest_threshold_n: float
+    decide_at: float = Field(description="Probability from which a tissue is named")
     warning_shares: list[float] = Field(description="Low, medium and high warning, as shares of the threshold")
     channels: list[ChannelInfo]
     frame_rate_hz: float
@@ -176,11 +223,14 @@ class State(Wire):
     run: Run | None
     last_run: Run | None
     simulated_tissue: str | None
-    demo: bool
+    demo: str | None = Field(description="What the demonstration is showing; null when there is none")
+    control: str | None = Field(description="Who holds the tool: whoever started the run under way")
     rate_hz: float
     lost_samples: int
     estimator_latency_ms: float | None
     viewers: int
+    recording: str | None = Field(description="File that is being written; null: nothing is recorded")
+    free_disk_bytes: int
     faults: list[str]
 
 
@@ -201,6 +251,10 @@ class Identification(Wire):
     peak_force_n: float | None
     threshold_n: float = Field(description="Injury threshold in force")
     threshold_tissue: str | None = Field(description="Whose threshold; null: the lowest of the library")
+    hold_n: float = Field(description="Where the limiter holds the force: a share of the threshold in force")
+    holding_back: bool = Field(description="Whether the limiter is holding the motor back")
+    time_to_limit_s: float | None = Field(description="Forecast while the force rises; null: not rising towards it")
+    thickness_m: float | None = Field(description="Of what is held, where the tool can measure it at contact")
     convergence_s: dict[str, float | None]
     force_error_n: dict[str, float | None]
 
@@ -212,18 +266,27 @@ class GraspEnded(Wire):
 
 
 class Alarm(Wire):
-    """An alarm began, changed or ended. The same `id` until it ends."""
+    """An alarm began, changed or ended. The same `id` until it is over: neither `active` nor `latched`."""
 
     type: Literal["alarm"] = "alarm"
     id: str
     kind: AlarmKind
     priority: Priority
-    active: bool
+    active: bool = Field(description="Whether its cause is there")
+    latched: bool = Field(description="Whether it stays until somebody has acknowledged it")
     text: str
-    value: float | None
+    value: float | None = Field(description="What passed the limit; after that the highest so far")
     limit: float | None
     unit: str | None
     began_ms: float
+    ended_ms: float | None = Field(description="When its cause went away")
+    acknowledged_by: str | None = Field(description="Null: nobody has yet, or it became worse since")
+
+
+class AcknowledgeRequest(Wire):
+    """Somebody has seen an alarm."""
+
+    by: Person
 
 
 class EventMessage(Wire):
@@ -241,9 +304,134 @@ class FrameReceived(Wire):
     sequence: int
 
 
+class ReplayControl(Wire):
+    """What a viewer of a replay asks for; null: as it is."""
+
+    type: Literal["replay"] = "replay"
+    playing: bool | None = None
+    position_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    speed: Annotated[float, Field(ge=0.25, le=10)] | None = None
+
+
+class ReplayState(Wire):
+    """Where a replay stands."""
+
+    type: Literal["replay_state"] = "replay_state"
+    name: str
+    prepared: float = Field(description="Share of the recording that has been estimated; it plays from 1 on")
+    playing: bool
+    position_s: float
+    duration_s: float | None = Field(description="Null until it has been read")
+    speed: float
+    grasps: list[float] = Field(description="When its grasps begin, s")
+
+
 ServerMessage = Annotated[
-    Hello | State | Identification | GraspEnded | Alarm | EventMessage, Field(discriminator="type")
+    Hello | State | Identification | GraspEnded | Alarm | EventMessage | ReplayState, Field(discriminator="type")
 ]
+
+
+class JournalKind(StrEnum):
+    """What a line of the journal is about."""
+
+    EVENT = "event"
+    RUN = "run"
+    ALARM = "alarm"
+    ACKNOWLEDGED = "acknowledged"
+
+
+class JournalEntry(Wire):
+    """A line of the journal: what happened, and who did it."""
+
+    at: str = Field(description="ISO 8601, UTC")
+    kind: JournalKind
+    text: str
+    by: str | None = None
+    priority: Priority | None = None
+    value: float | None = None
+    limit: float | None = None
+    unit: str | None = None
+
+
+class RecordingInfo(Wire):
+    """A file of the recordings folder."""
+
+    name: str
+    size_bytes: int
+    modified_at: str = Field(description="ISO 8601, UTC")
+    duration_s: float | None = Field(description="Null: not read yet, or not to be read")
+    problem: str | None = Field(description="Why it cannot be replayed")
+
+
+class Recordings(Wire):
+    """The recordings folder."""
+
+    folder: str
+    recordings: list[RecordingInfo]
+
+
+class StudyInfo(Wire):
+    """A study that can be carried out."""
+
+    name: str
+    title: str
+    grasps: int | None = Field(description="How many grasps (or seeds) of each it takes unless told otherwise")
+    most_grasps: int
+
+
+class StudyRequest(Wire):
+    """Start a study; one at a time."""
+
+    study: str = Field(description="Name of a study, see GET /api/studies")
+    grasps: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Null: as many as usual")
+    seed: Annotated[int, Field(ge=0)] = 0
+    by: Person | None = None
+
+
+class StudyState(StrEnum):
+    RUNNING = "running"
+    FINISHED = "finished"
+    STOPPED = "stopped"
+    FAILED = "failed"
+
+
+class StudyRun(Wire):
+    """A study that was carried out, or is."""
+
+    id: str
+    study: str
+    title: str
+    grasps: int
+    seed: int
+    by: str | None
+    state: StudyState
+    done: int
+    of: int | None = Field(description="Cases; null until the study has counted them")
+    started_at: str
+    ended_at: str | None
+    why: str | None = Field(description="Why it was stopped or failed")
+    report: str | None = Field(description="Address of its page, once there is one")
+
+
+class Studies(Wire):
+    """What can be studied, and what has been, newest first."""
+
+    folder: str
+    available: list[StudyInfo]
+    runs: list[StudyRun]
+
+
+class System(Wire):
+    """What runs here, and how it is set up."""
+
+    versions: dict[str, str]
+    machine: str
+    started_at: str
+    workers: dict[str, str]
+    data_folder: str
+    free_disk_bytes: int
+    tool: dict[str, Any] = Field(description="The tool file")
+    settings: dict[str, Any] = Field(description="The settings in use")
 
 
 class StopAnswer(Wire):

@@ -15,17 +15,11 @@ from app import wire
 
 SCHEMA_FILE = Path(__file__).parents[1] / "frontend" / "src" / "wire.schema.json"
 
-SENT_BY_SERVER = {
-    "ServerMessage": wire.ServerMessage,
-    "Run": wire.Run,
-    "ProtocolInfo": wire.ProtocolInfo,
-    "TissueInfo": wire.TissueInfo,
-    "Grasp": wire.Grasp,
-    "StopAnswer": wire.StopAnswer,
-    "Health": wire.Health,
-    "Problem": wire.Problem,
-}
-SENT_BY_BROWSER = {"RunRequest": wire.RunRequest, "FrameReceived": wire.FrameReceived}
+SENT_BY_SERVER = (
+    "ServerMessage", "Run", "ProtocolInfo", "LibraryInfo", "Grasp", "StopAnswer", "Health", "Problem", "Alarm",
+    "JournalEntry", "Recordings", "Studies", "StudyRun", "System",
+)  # fmt: skip
+SENT_BY_BROWSER = ("RunRequest", "StopRequest", "FrameReceived", "AcknowledgeRequest", "ReplayControl", "StudyRequest")
 
 # Fields of `FRAME_HEADER`, in order
 HEADER_FIELDS = ("magic", "kind", "stride", "columns", "rows", "sequence", "first_tick", "newest_ms")
@@ -43,11 +37,11 @@ class _ForTypeScript(GenerateJsonSchema):
 
 def schema() -> dict[str, Any]:
     """Every message and body under `$defs`; the binary frame's header under `x-frame`."""
-    modes: list[tuple[dict[str, Any], JsonSchemaMode]] = [
+    modes: list[tuple[tuple[str, ...], JsonSchemaMode]] = [
         (SENT_BY_SERVER, "serialization"),
         (SENT_BY_BROWSER, "validation"),
     ]
-    inputs = [(name, mode, TypeAdapter(kind)) for kinds, mode in modes for name, kind in kinds.items()]
+    inputs = [(name, mode, TypeAdapter(getattr(wire, name))) for names, mode in modes for name in names]
     roots, rest = TypeAdapter.json_schemas(inputs, ref_template="#/$defs/{model}", schema_generator=_ForTypeScript)
     definitions = dict(rest["$defs"])
     for (name, _), root in roots.items():

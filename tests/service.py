@@ -1,10 +1,12 @@
 """The real program as a subprocess, for tests and benchmarks."""
 
+import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +14,10 @@ from types import TracebackType
 from typing import Any, Self
 
 import httpx
+import numpy as np
+from websockets.sync.client import connect
+
+from app.wire import FRAME_HEADER
 
 PROGRAM = Path(sys.executable).with_name("graspwatch")
 
@@ -27,14 +33,16 @@ def until(condition: Callable[[], Any], timeout_s: float = 30.0) -> Any:
 
 
 class Service:
-    """`graspwatch serve` (or `replay --serve`) on a free port, ended with the block."""
+    """`graspwatch serve` (or `replay --serve`) on a free port with a data folder of its own, ended with the block."""
 
     def __init__(self, *arguments: str) -> None:
         self._arguments = arguments or ("serve",)
+        self._folder = tempfile.TemporaryDirectory(prefix="graspwatch-data-")
+        self.data = Path(self._folder.name)
 
     def __enter__(self) -> Self:
         self.process = subprocess.Popen(
-            [PROGRAM, *self._arguments, "--port", "0"],
+            [PROGRAM, *self._arguments, "--port", "0", "--data", self.data],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "200"},
         )  # fmt: skip
         line = self.process.stdout.readline()
@@ -45,7 +53,11 @@ class Service:
         self.url = f"http://127.0.0.1:{self.port}"
         self.live_url = f"ws://127.0.0.1:{self.port}/api/live"
         self.http = httpx.Client(base_url=self.url, timeout=5.0)
-        until(self.ready, 90.0)
+        try:
+            until(self.ready, 90.0)
+        except AssertionError:
+            self.__exit__(None, None, None)
+            raise
         return self
 
     def __exit__(
@@ -56,6 +68,7 @@ class Service:
         if self.process.poll() is None:
             self.process.kill()
         self.process.communicate()
+        self._folder.cleanup()
 
     def ready(self) -> bool:
         try:
@@ -90,3 +103,42 @@ class Service:
             return run if run["state"] != "running" else None
 
         return until(over, timeout_s)
+
+
+class Listener:
+    """A program on `/api/live`, or on a replay: collects messages, and frames as header and columns."""
+
+    def __init__(self, service: Service, path: str = "/api/live") -> None:
+        self._connection = connect(f"ws://127.0.0.1:{service.port}{path}", max_size=None, close_timeout=0.5)
+        self.messages: list[dict[str, Any]] = []
+        self.frames: list[tuple[tuple[Any, ...], np.ndarray]] = []
+
+    def __enter__(self) -> Self:
+        self._socket = self._connection.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.__exit__(None, None, None)
+
+    def listen(self, done: Callable[[], Any], timeout_s: float = 20.0, answer: bool = True) -> float:
+        """Read until `done()`; returns how long it took, s."""
+        begin = time.monotonic()
+        while not done():
+            if time.monotonic() - begin > timeout_s:
+                raise AssertionError(f"{[m['type'] for m in self.messages]}")
+            received = self._socket.recv(timeout=timeout_s)
+            if isinstance(received, str):
+                self.messages.append(json.loads(received))
+            else:
+                header = FRAME_HEADER.unpack_from(received)
+                columns = np.frombuffer(received, "<f4", offset=FRAME_HEADER.size).reshape(header[3], header[4])
+                self.frames.append((header, columns))
+                if answer:
+                    self.send(type="received", sequence=header[5])
+        return time.monotonic() - begin
+
+    def send(self, **message: Any) -> None:
+        self._socket.send(json.dumps(message))
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        return [message for message in self.messages if message["type"] == kind]

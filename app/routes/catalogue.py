@@ -5,8 +5,9 @@ from fastapi import APIRouter, Request, Response
 
 from acquisition.protocol import command_cycle
 from app import __version__
+from app.describe import library_info, tool_info
 from app.routes.runs import station_of
-from app.wire import Health, Phase, ProtocolInfo, TissueInfo, ToolInfo
+from app.wire import Health, LibraryInfo, Phase, ProtocolInfo, ToolInfo
 from config.errors import RefusedError
 from config.load import available, load_protocol
 from config.schema import Protocol, Tool
@@ -37,7 +38,7 @@ async def health(request: Request, response: Response) -> Health:
 @router.get("/api/tool")
 async def tool(request: Request) -> ToolInfo:
     """The tool in use."""
-    return station_of(request).tool_info()
+    return tool_info(station_of(request).plan.tool)
 
 
 @router.get("/api/protocols")
@@ -68,9 +69,9 @@ def _preview(protocol: Protocol, tool: Tool) -> ProtocolInfo:
 
 
 @router.get("/api/tissues")
-async def tissues(request: Request) -> list[TissueInfo]:
+async def tissues(request: Request) -> LibraryInfo:
     """The tissue library in use."""
-    return station_of(request).tissue_infos()
+    return library_info(station_of(request).plan)
 
 
 @router.get("/metrics", include_in_schema=False)

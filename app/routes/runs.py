@@ -6,15 +6,14 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Request
 
 from acquisition.protocol import ProtocolPlayer
-from app.problems import ProblemError
+from app.problems import PROBLEM, ProblemError
 from app.station import Station
-from app.wire import Grasp, Phase, Problem, Run, RunRequest, StopAnswer
+from app.wire import Grasp, Phase, Run, RunRequest, StopAnswer, StopRequest
 from config.errors import ConfigurationError, RefusedError, ServiceError
-from config.load import available, choose, load_protocol
+from config.load import available, choose, holdable, load_protocol
 from config.schema import ToolKind
 
 router = APIRouter(prefix="/api", tags=["runs"])
-PROBLEM = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}
 
 
 def station_of(request: Request) -> Station:
@@ -33,8 +32,8 @@ def station_of(request: Request) -> Station:
 async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> Run:
     """Start a protocol on the tool."""
     station = station_of(request)
-    if station.plan.recordings:
-        raise ProblemError(HTTPStatus.CONFLICT, "A recording is being replayed: there is no tool to run.")
+    if station.plan.opened:
+        raise ProblemError(HTTPStatus.CONFLICT, "This service only shows recordings: there is no tool to run.")
     try:
         protocol = load_protocol(choose(wanted.protocol, available("protocols"), "protocol"))
     except ConfigurationError as error:
@@ -47,7 +46,7 @@ async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> 
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), error.field) from None
     await _make_room(station)
     try:
-        return await station.start_run(protocol, cycles, wanted.tissue or station.simulated_tissue)
+        return await station.start_run(protocol, cycles, wanted.tissue or station.simulated_tissue, wanted.by)
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
@@ -55,10 +54,10 @@ async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> 
 async def _make_room(station: Station) -> None:
     """A person ends the demonstration by starting a run; any other run under way, or a tool not ready, refuses one."""
     current = station.runs.current
-    if current and station.demonstrating:
+    if current and station.demo:
         await station.stop_run("the demonstration was ended by a run")
         current = station.runs.current
-    station.demonstrating = False
+    station.demo = None
     if current:
         raise ProblemError(HTTPStatus.CONFLICT, f"Run {current.id} is under way. Stop it first.")
     if station.phase is not Phase.IDLE:
@@ -75,7 +74,7 @@ def _check_tissue(station: Station, tissue: str | None) -> None:
         detail = "Only the simulated grasper can be told what it holds. Leave `tissue` out."
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "tissue")
     try:
-        choose(tissue, list(station.plan.library.tissues), "tissue")
+        choose(tissue, list(holdable(station.plan.library).tissues), "tissue")
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "tissue") from None
 
@@ -103,23 +102,23 @@ async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
 
 
 @router.post("/runs/{run_id}/stop", responses={404: {"description": "No such run", **PROBLEM}})
-async def stop_run(request: Request, run_id: str) -> StopAnswer:
+async def stop_run(request: Request, run_id: str, wanted: StopRequest | None = None) -> StopAnswer:
     """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
     run = await get_run(request, run_id)
     current = station_of(request).runs.current
     if current is None or current.id != run.id:
         return StopAnswer(stopped=False, run=run)
-    return await stop(request)
+    return await stop(request, wanted)
 
 
 @router.post("/stop", responses={503: {"description": "The tool does not answer", **PROBLEM}})
-async def stop(request: Request) -> StopAnswer:
+async def stop(request: Request, wanted: StopRequest | None = None) -> StopAnswer:
     """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
     station = station_of(request)
-    station.demonstrating = False
+    station.demo = None
     before = station.runs.current
     try:
-        stopped = await station.stop_run("asked to stop")
+        stopped = await station.stop_run("asked to stop", wanted.by if wanted else None)
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None

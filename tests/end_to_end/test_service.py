@@ -1,6 +1,5 @@
 """The whole way, volts to wire, on real processes and sockets."""
 
-import json
 import os
 import re
 import signal
@@ -8,11 +7,9 @@ import time
 
 import numpy as np
 import pytest
-from service import Service, until
-from simulation import joined, simulate_raw, write_lvm
+from service import Listener, Service, until
 from websockets.sync.client import connect
 
-from app.wire import FRAME_HEADER
 from config.load import CONFIG_DIR
 
 
@@ -20,41 +17,6 @@ from config.load import CONFIG_DIR
 def service():
     with Service("serve") as running:
         yield running
-
-
-class Listener:
-    """A program on `/api/live`: collects messages and frames."""
-
-    def __init__(self, service):
-        self._connection = connect(service.live_url, max_size=None, close_timeout=0.5)
-        self.messages, self.frames = [], []
-
-    def __enter__(self):
-        self._socket = self._connection.__enter__()
-        return self
-
-    def __exit__(self, *_):
-        self._connection.__exit__(None, None, None)
-
-    def listen(self, done, timeout_s=20.0, answer=True):
-        """Read until `done()`; returns how long it took, s."""
-        begin = time.monotonic()
-        while not done():
-            if time.monotonic() - begin > timeout_s:
-                raise AssertionError(f"{[m['type'] for m in self.messages]}")
-            received = self._socket.recv(timeout=timeout_s)
-            if isinstance(received, str):
-                self.messages.append(json.loads(received))
-            else:
-                header = FRAME_HEADER.unpack_from(received)
-                columns = np.frombuffer(received, "<f4", offset=FRAME_HEADER.size).reshape(header[3], header[4])
-                self.frames.append((header, columns))
-                if answer:
-                    self._socket.send(json.dumps({"type": "received", "sequence": header[5]}))
-        return time.monotonic() - begin
-
-    def of(self, kind):
-        return [message for message in self.messages if message["type"] == kind]
 
 
 def column(listener, name, tissue=None):
@@ -116,7 +78,7 @@ def test_the_stream_is_gapless_at_1_khz(service):
         assert np.isfinite(thresholds).all()  # every sample came with its estimates
         hello = listener.of("hello")[0]
         assert hello["tool"]["kind"] == "simulated"
-        assert [t["name"] for t in hello["tissues"]] == ["liver", "small_bowel", "bladder", "gallbladder"]
+        assert [t["name"] for t in hello["library"]["tissues"]] == ["liver", "small_bowel", "bladder", "gallbladder"]
         assert len(hello["channels"]) == listener.frames[0][1].shape[0]
 
 
@@ -190,7 +152,7 @@ def test_the_catalogue_and_the_metrics_answer(service):
     protocols = {p["name"]: p for p in service.http.get("/api/protocols").json()}
     assert protocols["trapezoid_2hz"]["peak_command_v"] == 2.0
     assert protocols["trapezoid_4hz_low"]["peak_command_v"] == 0.5
-    thresholds = {t["name"]: t["threshold_n"] for t in service.http.get("/api/tissues").json()}
+    thresholds = {t["name"]: t["threshold_n"] for t in service.http.get("/api/tissues").json()["tissues"]}
     assert thresholds == pytest.approx(
         {"liver": 3.38, "small_bowel": 5.63, "bladder": 2.25, "gallbladder": 2.25}, abs=0.01
     )
@@ -305,14 +267,3 @@ def test_ctrl_c_in_a_run_ends_everything_without_a_traceback():
         running.process.wait(15)
         assert not [pid for pid in workers if os.path.exists(f"/proc/{pid}")]
         assert "Traceback" not in running.process.stderr.read()
-
-
-def test_a_replay_can_be_stopped_watched_and_ends(tmp_path):
-    path = write_lvm(tmp_path / "short.lvm", joined(simulate_raw("gallbladder", "trapezoid_2hz", cycles=3)))
-    with Service("replay", str(path), "--serve", "--speed", "2") as running, Listener(running) as listener:
-        stopped = running.http.post("/api/stop")
-        assert (stopped.status_code, stopped.json()["stopped"]) == (200, False)
-        assert running.http.post("/api/runs", json={"protocol": "sine"}).status_code == 409
-        listener.listen(lambda: listener.of("state")[-1:] and listener.of("state")[-1]["phase"] == "ended")
-        labels = [message["grasp"]["label"] for message in listener.of("grasp")]
-        assert labels.count("gallbladder") >= 2

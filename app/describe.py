@@ -1,0 +1,63 @@
+"""What viewers are told of the tool, the library and the frames' columns."""
+
+from app import __version__
+from app.clock import now_ms
+from app.frames import channels
+from app.plan import ServicePlan
+from app.wire import Hello, HoldableInfo, LibraryInfo, SpreadInfo, TissueInfo, ToolInfo
+from config.load import holdable
+from config.schema import TissueLibrary, Tool, ToolKind
+
+
+def hello(plan: ServicePlan, tool: Tool, *, recording: bool = False) -> Hello:
+    """The first message to a viewer of `tool`, or of a recording of it."""
+    library, shares = plan.library, plan.settings.warnings
+    return Hello(
+        version=__version__,
+        server_time_ms=now_ms(),
+        tool=tool_info(tool, recording=recording),
+        library=library_info(plan),
+        holdable=_holdable(library) if tool.kind is ToolKind.SIMULATED and not recording else [],
+        lowest_threshold_n=library.lowest_threshold_n,
+        decide_at=plan.settings.identification.decide_at,
+        warning_shares=[shares.low, shares.medium, shares.high],
+        channels=channels(list(library.tissues)),
+        frame_rate_hz=plan.settings.server.frame_rate_hz,
+    )
+
+
+def _holdable(library: TissueLibrary) -> list[HoldableInfo]:
+    return [
+        HoldableInfo(name=name, title=profile.title, in_library=name in library.tissues)
+        for name, profile in holdable(library).tissues.items()
+    ]
+
+
+def tool_info(tool: Tool, *, recording: bool = False) -> ToolInfo:
+    return ToolInfo(
+        name=tool.name,
+        title=tool.title,
+        kind=ToolKind.RECORDING if recording else tool.kind,
+        sample_rate_hz=tool.board.sample_rate_hz,
+        max_command_v=tool.limits.max_command_v,
+        force_ceiling_n=tool.limits.force_ceiling_n,
+        calibration_date=tool.calibration.date,
+        calibrated_by=tool.calibration.person,
+    )
+
+
+def library_info(plan: ServicePlan) -> LibraryInfo:
+    library = plan.library
+    tissues = [
+        TissueInfo(
+            name=name, title=profile.title, alpha_n=profile.alpha_n, beta_per_m=profile.beta_per_m,
+            damping_kg_per_s=profile.damping_kg_per_s, thickness_m=profile.thickness_m,
+            threshold_n=library.threshold_n(name), threshold_pa=profile.threshold_pa,
+            spread=SpreadInfo(**library.spread_of(name).model_dump()),
+        )
+        for name, profile in library.tissues.items()
+    ]  # fmt: skip
+    return LibraryInfo(
+        name=library.name, title=library.title, source=library.source, mass_kg=library.mass_kg,
+        jaw_area_m2=library.jaw_area_m2, tissues=tissues,
+    )  # fmt: skip

@@ -1,0 +1,34 @@
+"""Alarms that are on, their acknowledgement, and the journal."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+
+from app.problems import PROBLEM, ProblemError
+from app.routes.runs import station_of
+from app.wire import AcknowledgeRequest, Alarm, JournalEntry
+from config.errors import RefusedError
+
+router = APIRouter(prefix="/api", tags=["alarms"])
+
+
+@router.get("/alarms")
+async def alarms(request: Request) -> list[Alarm]:
+    """Alarms whose cause is there, and those that stay until somebody has acknowledged them."""
+    return station_of(request).alarms.all()
+
+
+@router.post("/alarms/{alarm_id}/acknowledge", responses={404: {"description": "No such alarm", **PROBLEM}})
+async def acknowledge(request: Request, alarm_id: str, wanted: AcknowledgeRequest) -> Alarm:
+    """Somebody has seen an alarm: it falls silent on every page, and stays in sight until its cause is gone."""
+    try:
+        return station_of(request).alarms.acknowledge(alarm_id, wanted.by)
+    except RefusedError as error:
+        raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
+
+
+@router.get("/journal")
+async def journal(request: Request, most: Annotated[int, Query(ge=1, le=2000)] = 200) -> list[JournalEntry]:
+    """What happened and who did it since the service started, newest first."""
+    return station_of(request).journal.newest(most)

@@ -1,0 +1,33 @@
+"""What runs here: versions, machine, configuration."""
+
+import os
+import platform
+import shutil
+from importlib.metadata import version
+
+from fastapi import APIRouter, Request
+
+from app import __version__
+from app.routes.runs import station_of
+from app.wire import System
+
+router = APIRouter(prefix="/api", tags=["system"])
+PACKAGES = ("fastapi", "uvicorn", "websockets", "numpy", "scipy", "numba", "pydantic", "nidaqmx", "pyzmq", "plotly")
+
+
+@router.get("/system")
+async def system(request: Request) -> System:
+    """Versions, machine, workers, and the configuration in use (read-only)."""
+    station = station_of(request)
+    plan = station.plan
+    return System(
+        versions={"graspwatch": __version__, "python": platform.python_version()}
+        | {package: version(package) for package in PACKAGES},
+        machine=f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
+        started_at=station.started_at,
+        workers={name: worker.condition.value for name, worker in station.supervisor.workers.items()},
+        data_folder=str(plan.data),
+        free_disk_bytes=shutil.disk_usage(plan.data).free,
+        tool=plan.tool.model_dump(mode="json"),
+        settings=plan.settings.model_dump(mode="json"),
+    )

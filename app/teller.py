@@ -1,0 +1,80 @@
+"""What an estimate block means to viewers: identification, withdrawn names, force alarms and finished grasps."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+
+from pydantic import BaseModel
+
+from app.alarms import RANK, AlarmBook
+from app.wire import EventMessage, Grasp, Identification, Priority
+from config.schema import TissueLibrary
+from estimator.blocks import EstimateBlock, GraspRecord
+
+IDENTIFICATIONS_HZ = 10.0
+
+
+class Teller:
+    """Follows one source's estimate blocks."""
+
+    def __init__(
+        self, library: TissueLibrary, rate_hz: float, alarms: AlarmBook,
+        tell: Callable[[BaseModel], None], on_grasp: Callable[[Grasp], None],
+    ) -> None:  # fmt: skip
+        self._library = library
+        self._every_ticks = rate_hz / IDENTIFICATIONS_HZ
+        self._alarms = alarms
+        self._tell = tell
+        self._on_grasp = on_grasp
+        self._told_tick = 0
+        self._force: list[Priority] = []  # warnings of the grasp under way, the highest of each rise
+        self._rising = False
+        self._held_back = False
+        self.identification: Identification | None = None
+
+    def take(self, block: EstimateBlock, at_ms: float, sampled_ms: float) -> None:
+        """Tell what is new in a block that is told at `at_ms` and whose last sample was taken at `sampled_ms`."""
+        for record in block.ended:
+            self._end_grasp(record)
+        self._identify(block, at_ms)
+        for withdrawal in block.withdrawn:
+            reason = withdrawal.why or f"{100 * withdrawal.probability:.0f} % now"
+            text = f"{self._title(withdrawal.label)} withdrawn: {reason}"
+            self._tell(EventMessage(server_time_ms=at_ms, text=text))
+        for alarm in block.alarms:
+            self._count(alarm.priority)
+            self._alarms.force(alarm, sampled_ms)
+
+    def _identify(self, block: EstimateBlock, at_ms: float) -> None:
+        """At every change, and ten times a second during a grasp."""
+        message = Identification(server_time_ms=at_ms, **asdict(block.identification))
+        before, self.identification = self.identification, message
+        if message.holding_back and not self._held_back:
+            text = f"The limiter holds the motor back at {message.hold_n:.2f} N"
+            self._tell(EventMessage(server_time_ms=at_ms, text=text))
+        self._held_back |= message.holding_back
+        changed = before is None or _answer(before) != _answer(message)
+        due = message.in_grasp and not 0 <= message.tick - self._told_tick < self._every_ticks
+        if changed or due:
+            self._told_tick = message.tick
+            self._tell(message)
+
+    def _count(self, priority: Priority | None) -> None:
+        if priority is None:
+            self._rising = False
+        elif not self._rising:
+            self._rising = True
+            self._force.append(Priority(priority))
+        else:
+            self._force[-1:] = [max(self._force[-1], Priority(priority), key=RANK.__getitem__)]
+
+    def _end_grasp(self, record: GraspRecord) -> None:
+        self._on_grasp(Grasp(**asdict(record), alarms=self._force, held_back=self._held_back))
+        self._force, self._rising, self._held_back = [], False, False
+
+    def _title(self, label: str) -> str:
+        profile = self._library.tissues.get(label)
+        return profile.title if profile else label.capitalize()
+
+
+def _answer(message: Identification) -> tuple[object, ...]:
+    return message.label, message.in_grasp, message.in_contact, message.grasp, message.holding_back

@@ -1,0 +1,55 @@
+"""Notices workers that fall silent: technical alarms while they are, an end to those that hang."""
+
+import time
+from collections.abc import Callable
+
+from app.alarms import AlarmBook
+from app.supervisor import Condition, Supervisor
+from app.wire import Priority
+
+SILENCE_S = 0.25
+HUNG_S = 2.0  # a worker silent for longer is killed and replaced
+
+
+class Watchdog:
+    """Judges by what arrives, without a heartbeat of its own."""
+
+    def __init__(self, supervisor: Supervisor, alarms: AlarmBook, tell_event: Callable[[str], None]) -> None:
+        self._supervisor = supervisor
+        self._alarms = alarms
+        self._tell_event = tell_event
+        self._heard_s = {"acquisition": 0.0, "estimator": 0.0}
+        self._from_s = 0.0
+        self.sampling = False
+
+    def heard(self, worker: str) -> None:
+        self._heard_s[worker] = time.monotonic()
+
+    def excuse(self) -> None:
+        """This process was held up: let it read what waits before it judges."""
+        self._from_s = time.monotonic() + HUNG_S
+
+    def watch(self) -> None:
+        """Raise a technical alarm while a worker is silent, and end it when it speaks again."""
+        now = time.monotonic()
+        if now < self._from_s:
+            return
+        alive = {name: worker.condition is Condition.RUNNING for name, worker in self._supervisor.workers.items()}
+        silent_s = {name: now - heard_s for name, heard_s in self._heard_s.items()}
+        self.sampling = silent_s["acquisition"] < SILENCE_S
+        estimating = silent_s["estimator"] < SILENCE_S
+        if self._heard_s["acquisition"] and not self.sampling:
+            self._alarms.raise_technical("samples", Priority.HIGH, "No samples arrive from the tool")
+        elif self.sampling and alive["acquisition"]:
+            self._alarms.end("samples")
+            self._alarms.end("acquisition")
+        if self._heard_s["estimator"] and self.sampling and not estimating:
+            self._alarms.raise_technical("estimates", Priority.MEDIUM, "No estimates arrive: the tissue is not watched")
+        elif estimating and alive["estimator"]:
+            self._alarms.end("estimates")
+            self._alarms.end("estimator")
+        for name, since_s in silent_s.items():
+            expected = name == "acquisition" or self.sampling
+            if alive[name] and expected and since_s > HUNG_S:
+                self._tell_event(f"The {name} worker does not answer: it is ended and replaced")
+                self._supervisor.kill(name)
