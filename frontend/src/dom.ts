@@ -38,3 +38,11 @@ export function setProperty(element: HTMLElement, name: string, value: number): 
   const text = value.toFixed(4);
   if (element.style.getPropertyValue(name) !== text) element.style.setProperty(name, text);
 }
+
+/** The colour of a custom property in the theme that is on. */
+export const cssColour = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+/** Fills `box` with a page's markup, which comes with the program and never from data. */
+export function fill(box: HTMLElement, markup: string): void {
+  box.innerHTML = markup;
+}

@@ -40,6 +40,13 @@ export function shortTime(s: number | null): string {
   return s < 1 ? `${Math.round(s * 1000)}\u202fms` : `${s.toFixed(2)}\u202fs`;
 }
 
+/** Decimal prefixes, as disks are sold. */
+export function bytes(count: number): string {
+  const units = ["B", "kB", "MB", "GB", "TB"];
+  const power = count < 1 ? 0 : Math.min(units.length - 1, Math.floor(Math.log10(count) / 3));
+  return fixed(count / 1000 ** power, power < 3 ? 0 : 1, units[power] ?? "B");
+}
+
 /** The wall clock at a moment of `performance.now()`. */
 export function clockTime(pageMs: number): string {
   const date = new Date(Date.now() - (performance.now() - pageMs));

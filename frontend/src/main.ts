@@ -1,37 +1,86 @@
 import "./styles/theme.css";
 import "./styles/layout.css";
 import "./styles/header.css";
-import "./styles/cards.css";
-import "./styles/charts.css";
 import "./styles/controls.css";
-import { AlarmBar } from "./cards/alarms";
-import { ForceCard } from "./cards/force";
-import { GraspsTable } from "./cards/grasps";
-import { ProtocolPanel } from "./cards/protocol";
-import { Staleness } from "./cards/staleness";
-import { StatusStrip } from "./cards/status";
-import { StopButton } from "./cards/stop";
-import { TissueCard } from "./cards/tissue";
-import { ChartStack } from "./charts/stack";
-import { listenToKeys } from "./keys";
 import { Connection } from "./live/connection";
 import { Model } from "./live/model";
-import { Theme } from "./theme";
-
-/** How often ages and alarms are brought up to date when nothing arrives. */
-const TICK_MS = 100;
+import { byId } from "./dom";
+import { WatchPage } from "./pages/watch";
+import { AlarmBar } from "./shell/alarms";
+import { forgetHints } from "./shell/hints";
+import { Keys } from "./shell/keys";
+import { Person } from "./shell/person";
+import { Router, type Route } from "./shell/router";
+import { AlarmSound } from "./shell/sound";
+import { Staleness } from "./shell/staleness";
+import { StatusStrip } from "./shell/status";
+import { StopButton } from "./shell/stop";
+import { Theme } from "./shell/theme";
 
 const model = new Model();
-const stop = new StopButton(() => protocol.forget());
-const tissue = new TissueCard(model);
-const force = new ForceCard(model);
-const charts = new ChartStack(model);
-const protocol = new ProtocolPanel(model);
-const grasps = new GraspsTable(model);
+const person = new Person();
+const stop = new StopButton(person);
 const status = new StatusStrip(model);
 const staleness = new Staleness(model);
-const alarms = new AlarmBar(model);
-const theme = new Theme(() => charts.rebuild());
+const sound = new AlarmSound();
+const alarms = new AlarmBar(model, sound, person);
+let live: WatchPage | null = null;
+
+const ROUTES: Route[] = [
+  {
+    name: "live",
+    title: "Live",
+    matches: (path) => path === "/",
+    load: async () => (box) => (live = new WatchPage(box, model, person)),
+  },
+  {
+    name: "recordings",
+    title: "Replay",
+    matches: (path) => path.startsWith("/recordings/"),
+    load: async () => {
+      const { ReplayPage } = await import("./pages/replay");
+      return (box, path) => new ReplayPage(box, decodeURIComponent(path.slice("/recordings/".length)), person);
+    },
+  },
+  {
+    name: "recordings",
+    title: "Recordings",
+    matches: (path) => path === "/recordings",
+    load: async () => {
+      const { RecordingsPage } = await import("./pages/recordings");
+      return (box) => new RecordingsPage(box);
+    },
+  },
+  {
+    name: "tissues",
+    title: "Tissues",
+    matches: (path) => path === "/tissues",
+    load: async () => {
+      const { TissuesPage } = await import("./pages/tissues");
+      return (box) => new TissuesPage(box);
+    },
+  },
+  {
+    name: "studies",
+    title: "Studies",
+    matches: (path) => path === "/studies",
+    load: async () => {
+      const { StudiesPage } = await import("./pages/studies");
+      return (box) => new StudiesPage(box, person);
+    },
+  },
+  {
+    name: "system",
+    title: "System",
+    matches: (path) => path === "/system",
+    load: async () => {
+      const { SystemPage } = await import("./pages/system");
+      return (box) => new SystemPage(box);
+    },
+  },
+];
+const router = new Router(ROUTES, schedule);
+const theme = new Theme(() => router.page?.themeChanged?.());
 
 let scheduled = false;
 let drawnMs = NaN;
@@ -45,53 +94,70 @@ function schedule(): void {
 
 function render(): void {
   scheduled = false;
-  const now = performance.now();
   watch();
-  tissue.render(now);
-  force.render();
-  protocol.render();
   stop.render(model.state?.run?.id ?? null);
-  grasps.render();
+  router.page?.render(performance.now());
   status.render();
-  charts.render();
   if (model.newestMs !== drawnMs) status.drawn(model.newestMs, performance.now());
   drawnMs = model.newestMs;
 }
 
-/** Ages, banner and alarms; also while the tab is hidden, when nothing else is drawn. */
+/** Banner and alarms; also while the tab is hidden, when nothing else is drawn. */
 function watch(): void {
   const now = performance.now();
   const lost = staleness.render(now);
   alarms.render([...lost, ...stop.alarms(), ...status.alarms()], now);
 }
 
-const connection = new Connection({
+const connection = new Connection("/api/live", {
   onConnected: (connected) => {
     model.connected = connected;
-    if (connected) void protocol.load();
+    if (connected && router.page === live) live?.connected();
     schedule();
   },
   onMessage: (message, arrivedMs) => {
     model.take(message, arrivedMs);
+    if (message.type === "alarm") watch();
     schedule();
   },
   onFrame: (frame, arrivedMs) => {
     model.takeFrame(frame, arrivedMs);
-    if (frame.history) charts.historyChanged();
+    if (frame.history && router.page === live) live?.charts.historyChanged();
     schedule();
   },
 });
 
-listenToKeys(() => void stop.stop(), [
-  { key: "S", shown: "Shift + S", does: "Start the chosen protocol", run: () => protocol.submitByKey() },
-  { key: "p", shown: "P", does: "Pause the charts, or go on", run: () => charts.togglePause() },
-  { key: "a", shown: "A", does: "Chart of alpha", run: () => charts.choose("alpha_n") },
-  { key: "b", shown: "B", does: "Chart of beta", run: () => charts.choose("beta_per_m") },
-  { key: "d", shown: "D", does: "Chart of d", run: () => charts.choose("damping_kg_per_s") },
-  { key: "t", shown: "T", does: "Light or dark", run: () => theme.toggle() },
-]);
-setInterval(() => {
+function stopNow(): void {
+  live?.stopped();
+  void stop.stop();
+}
+
+const keys = new Keys(
+  stopNow,
+  [
+    { key: "k", shown: "K", does: "Acknowledge the highest alarm", run: () => alarms.acknowledge() },
+    { key: "m", shown: "M", does: "Show or hide all alarms", run: () => alarms.toggleList() },
+    { key: "u", shown: "U", does: "Sound on; then pause it for two minutes", run: () => sound.press() },
+    { key: "1", shown: "1", does: "Live page", run: () => router.go("/") },
+    { key: "2", shown: "2", does: "Recordings", run: () => router.go("/recordings") },
+    { key: "3", shown: "3", does: "Tissue library", run: () => router.go("/tissues") },
+    { key: "4", shown: "4", does: "Studies", run: () => router.go("/studies") },
+    { key: "5", shown: "5", does: "System", run: () => router.go("/system") },
+    { key: "t", shown: "T", does: "Light or dark", run: () => theme.toggle() },
+  ],
+  () => router.page?.keys ?? [],
+  () => person.close(),
+);
+byId("hints-again").addEventListener("click", () => {
+  keys.close();
+  forgetHints(document);
+});
+byId("stop").addEventListener("click", () => live?.stopped());
+
+const ticker = new Worker(new URL("./shell/ticker.worker.ts", import.meta.url), { type: "module" });
+ticker.onmessage = () => {
   watch();
-  if (model.freshness.at(performance.now()) !== "live") schedule(); // else the next frame does
-}, TICK_MS);
+  if (model.freshness.at(performance.now()) !== "live" || router.page !== live) schedule(); // else the next frame does
+};
+void router.show();
 connection.start();

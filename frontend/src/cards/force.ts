@@ -1,5 +1,5 @@
 import { byId, create, setAttribute, setData, setHidden, setProperty, setText } from "../dom";
-import { newtons, wholePercent } from "../format";
+import { newtons, shortTime, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import type { Hello } from "../wire";
 
@@ -27,6 +27,7 @@ export class ForceCard {
     setText(byId("force-now"), newtons(force));
     this.renderZone(share, hello.warning_shares);
     this.renderPeak(force, limit);
+    this.renderLimiter(share, limit);
     setProperty(this.gauge, "--share", onGauge(share));
     setAttribute(this.gauge, "aria-valuenow", Number.isFinite(share) ? String(Math.round(share * 100)) : "0");
     setAttribute(this.gauge, "aria-valuemax", String(GAUGE_END * 100));
@@ -55,6 +56,21 @@ export class ForceCard {
     const peak = force > told ? force : told;
     setProperty(mark, "--share", onGauge(peak / limit));
     setText(byId("force-peak"), `Peak ${newtons(peak)} (${wholePercent(peak / limit)})`);
+  }
+
+  /** How long until the limit is reached, and whether the limiter keeps the motor from it. */
+  private renderLimiter(share: number, limit: number): void {
+    const held = this.model.identification;
+    const holding = held?.in_grasp === true && held.holding_back;
+    setData(this.card, "holding", String(holding));
+    const box = byId("force-holding");
+    setHidden(box, !holding);
+    if (held && holding) setText(box, `Limiter is holding the motor back at ${newtons(held.hold_n)}`);
+    const mark = byId("gauge-hold");
+    setHidden(mark, !held);
+    if (held) setProperty(mark, "--share", onGauge(held.hold_n / limit));
+    const left = held?.in_grasp ? held.time_to_limit_s : null;
+    setText(byId("force-forecast"), left === null || share >= 1 ? "" : `Limit in ${shortTime(left)} at this rate`);
   }
 
   private markZones(hello: Hello): void {

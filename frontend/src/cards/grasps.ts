@@ -2,7 +2,7 @@ import { byId, create, setHidden, setText } from "../dom";
 import { NO_VALUE, newtons, percent, shortTime, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import { looksOf, UNKNOWN_SLOT } from "../tissues";
-import type { GraspEnded } from "../wire";
+import type { GraspEnded, Priority } from "../wire";
 
 /** The grasps of this run, newest first. */
 export class GraspsTable {
@@ -14,9 +14,23 @@ export class GraspsTable {
     const { grasps } = this.model;
     setHidden(byId("grasps"), grasps.length === 0);
     setText(byId("grasps-empty"), this.note());
+    this.renderLink();
     if (grasps === this.shown) return;
     this.shown = grasps;
     byId("grasps-body").replaceChildren(...grasps.map((ended) => this.row(ended)));
+  }
+
+  /** Every figure of the run's grasps, as the program that asks for them gets them. */
+  private renderLink(): void {
+    const run = this.model.graspsOfRun;
+    const box = byId("grasps-links");
+    setHidden(box, run === null || this.model.grasps.length === 0);
+    if (run === null || box.dataset.run === run) return;
+    box.dataset.run = run;
+    const link = create("a", "", "All figures of this run (JSON)");
+    link.href = `/api/runs/${encodeURIComponent(run)}/grasps`;
+    link.download = `${run}.json`;
+    box.replaceChildren(link);
   }
 
   private note(): string {
@@ -30,10 +44,11 @@ export class GraspsTable {
 
   private row({ grasp, run_id: runId }: GraspEnded): HTMLTableRowElement {
     const row = create("tr");
+    const { alarms, held_back: heldBack } = grasp;
     const limit = this.limitOf(grasp.label);
     const share = grasp.peak_force_n === null ? NO_VALUE : wholePercent(grasp.peak_force_n / limit);
     const tissue = create("td", "what");
-    const look = looksOf(this.model.hello?.tissues ?? []).find(({ name }) => name === grasp.label);
+    const look = looksOf(this.model.tissues).find(({ name }) => name === grasp.label);
     const swatch = create("span", "swatch", look?.mark ?? "…");
     tissue.dataset.slot = look?.slot ?? UNKNOWN_SLOT;
     tissue.append(swatch, this.model.titleOf(grasp.label));
@@ -45,13 +60,29 @@ export class GraspsTable {
       create("td", "roomy", shortTime(grasp.time_to_decision_s)),
       create("td", "", newtons(grasp.peak_force_n)),
       create("td", "", share),
+      this.alarms(alarms, heldBack),
     );
     return row;
+  }
+
+  /** How many of each priority, in words that need no colour. */
+  private alarms(alarms: Priority[], heldBack: boolean): HTMLTableCellElement {
+    const cell = create("td", "alarms");
+    for (const priority of ["high", "medium", "low"] as const) {
+      const times = alarms.filter((alarm) => alarm === priority).length;
+      if (times === 0) continue;
+      const mark = create("span", "alarm-count", times === 1 ? priority : `${times} ${priority}`);
+      mark.dataset.priority = priority;
+      cell.append(mark);
+    }
+    if (heldBack) cell.append(create("span", "held-back", "held back"));
+    if (cell.childElementCount === 0) cell.textContent = NO_VALUE;
+    return cell;
   }
 
   /** The tissue's own limit, or the lowest of the library where the tissue is not known. */
   private limitOf(label: string): number {
     const { hello } = this.model;
-    return hello?.tissues.find(({ name }) => name === label)?.threshold_n ?? hello?.lowest_threshold_n ?? NaN;
+    return hello?.library.tissues.find(({ name }) => name === label)?.threshold_n ?? hello?.lowest_threshold_n ?? NaN;
   }
 }

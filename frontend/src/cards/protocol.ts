@@ -1,7 +1,8 @@
 import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
 import { count } from "../format";
-import { getProtocols, startRun } from "../live/rest";
+import { getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
+import type { Person } from "../shell/person";
 import type { Hello, Phase, ProtocolInfo, Run, RunRequest } from "../wire";
 import { drawWaveform } from "./waveform";
 
@@ -9,8 +10,7 @@ const PHASE: Record<Phase, string> = {
   starting: "starting up",
   idle: "ready",
   running: "running",
-  replaying: "replaying",
-  ended: "replay over",
+  replay: "no tool",
   faulted: "FAULT",
 };
 
@@ -23,9 +23,12 @@ export class ProtocolPanel {
   private readonly message = byId("run-message");
   private protocols: ProtocolInfo[] = [];
   private startedRun: string | null = null;
-  private tissuesFor: Hello["tissues"] | null = null;
+  private tissuesFor: Hello["holdable"] | null = null;
 
-  constructor(private readonly model: Model) {
+  constructor(
+    private readonly model: Model,
+    private readonly person: Person,
+  ) {
     this.protocol.addEventListener("change", () => this.preview());
     byId("run-form").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -50,8 +53,8 @@ export class ProtocolPanel {
 
   render(): void {
     const { hello, state } = this.model;
-    if (hello && this.tissuesFor !== hello.tissues) this.listTissues(hello);
-    setHidden(byId("run-form"), hello?.tool.kind === "recording");
+    if (hello && this.tissuesFor !== hello.holdable) this.listTissues(hello);
+    setHidden(byId("run-form"), this.model.hasNoTool);
     setText(byId("phase"), state ? PHASE[state.phase] : "");
     setData(byId("phase"), "phase", state?.phase ?? "");
     setText(byId("run-now"), this.runInWords());
@@ -86,11 +89,11 @@ export class ProtocolPanel {
 
   private request(): RunRequest {
     const cycles = this.cycles.value.trim();
-    const simulated = this.model.hello?.tool.kind === "simulated";
     return {
       protocol: this.protocol.value,
       cycles: cycles === "" ? null : Number(cycles),
-      tissue: simulated && this.tissue.value !== "" ? this.tissue.value : null,
+      tissue: this.tissue.value === "" ? null : this.tissue.value,
+      by: this.person.name,
     };
   }
 
@@ -102,25 +105,27 @@ export class ProtocolPanel {
   }
 
   private listTissues(hello: Hello): void {
-    this.tissuesFor = hello.tissues;
-    setHidden(byId("tissue-choice"), hello.tool.kind !== "simulated");
+    this.tissuesFor = hello.holdable;
+    setHidden(byId("tissue-choice"), hello.holdable.length === 0);
     const chosen = this.tissue.value;
-    this.tissue.replaceChildren(option("", "As before"), ...hello.tissues.map(({ name, title }) => option(name, title)));
-    if (hello.tissues.some(({ name }) => name === chosen)) this.tissue.value = chosen;
+    const options = hello.holdable.map(({ name, title, in_library: known }) => option(name, known ? title : `${title} (not in the library)`));
+    this.tissue.replaceChildren(option("", "As before"), ...options);
+    if (hello.holdable.some(({ name }) => name === chosen)) this.tissue.value = chosen;
   }
 
   private nameHeldTissue(tissue: string | null): void {
     const first = this.tissue.options[0];
-    if (first) setText(first, tissue === null ? "As before" : `As before (${this.model.titleOf(tissue)})`);
+    const title = this.model.hello?.holdable.find(({ name }) => name === tissue)?.title;
+    if (first) setText(first, title === undefined ? "As before" : `As before (${title})`);
   }
 
   private runInWords(): string {
     const { state } = this.model;
     if (state?.phase === "faulted") return `The tool is at fault: ${state.faults.join("; ") || "see the log"}`;
-    if (this.model.hello?.tool.kind === "recording") return "A recording is played: there is no motor to start.";
+    if (this.model.hasNoTool) return "This service only shows recordings: there is no motor to start.";
     const run = state?.run ?? state?.last_run;
     if (!run) return "";
-    if (run.state === "running") return `Running ${this.titleOf(run)}: ${run.grasps} of ${count(run.cycles, "grasp")} done`;
+    if (run.state === "running") return `Running ${this.titleOf(run)}: ${run.grasps} of ${count(run.cycles, "grasp")} done. Control: ${state?.control ?? "nobody"}.`;
     const why = run.why === null ? "" : `: ${run.why}`;
     return `Last run ${this.titleOf(run)} ${run.state} after ${count(run.grasps, "grasp")}${why}`;
   }
@@ -138,5 +143,3 @@ function option(value: string, text: string): HTMLOptionElement {
   element.value = value;
   return element;
 }
-
-const messageOf = (error: unknown): string => (error instanceof Error ? error.message : String(error));

@@ -14,13 +14,13 @@ interface Bar {
 export class TissueCard {
   private readonly card = byId("tissue");
   private bars: Bar[] = [];
-  private barsFor: Hello["tissues"] | null = null;
+  private barsFor: Hello["library"]["tissues"] | null = null;
 
   constructor(private readonly model: Model) {}
 
   render(nowMs: number): void {
     const { hello, identification } = this.model;
-    if (hello && this.barsFor !== hello.tissues) this.buildBars(hello);
+    if (hello && this.barsFor !== hello.library.tissues) this.buildBars(hello);
     if (!identification || identification.grasp === 0) this.renderNothingHeld();
     else this.renderAnswer(identification, nowMs);
     this.renderBars(identification);
@@ -39,7 +39,8 @@ export class TissueCard {
     const { hello, state, isStarting, lastEvent } = this.model;
     if (isStarting) return `The service is getting ready. ${lastEvent ?? ""}`;
     if (!hello) return "Waiting for the server. If this lasts, see whether it runs: graspwatch serve";
-    if (hello.tool.kind === "recording") return "The answer appears with the recording's first grasp.";
+    if (this.model.isReplay) return "The answer appears with the recording's first grasp.";
+    if (this.model.hasNoTool) return "This service only shows recordings: open one on the page Recordings.";
     return state?.run ? "The jaws are on their way to the first grasp." : "Choose a protocol and start it to grasp.";
   }
 
@@ -53,16 +54,17 @@ export class TissueCard {
     setText(byId("tissue-label"), this.model.titleOf(held.label));
     setText(byId("tissue-probability"), held.label === "undecided" ? "" : percent(held.probability));
     setText(byId("tissue-facts"), this.facts(held));
-    setText(byId("label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
+    if (!this.model.isReplay) setText(byId("label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
   }
 
   private holding(nowMs: number): string {
+    if (this.model.isReplay) return "Held in the recording";
     return this.model.freshness.at(nowMs) === "lost" ? "Last known" : "Holding now";
   }
 
   private sinceEnd(nowMs: number): string {
     const endedAt = this.model.graspEndedAt;
-    return endedAt === null ? " · over" : ` · over for ${elapsed(nowMs - endedAt)}`;
+    return endedAt === null || this.model.isReplay ? " · over" : ` · over for ${elapsed(nowMs - endedAt)}`;
   }
 
   private facts(held: Identification): string {
@@ -83,8 +85,8 @@ export class TissueCard {
   private lookOf = (label: string): Look | undefined => this.bars.find((bar) => bar.look.name === label)?.look;
 
   private buildBars(hello: Hello): void {
-    this.barsFor = hello.tissues;
-    this.bars = looksOf(hello.tissues).map((look) => {
+    this.barsFor = hello.library.tissues;
+    this.bars = looksOf(hello.library.tissues).map((look) => {
       const row = create("li");
       row.dataset.slot = look.slot;
       const track = create("span", "bar-track");

@@ -10,7 +10,7 @@ type Point = number | null;
 export class Buckets {
   /** Seconds since tick 0, two points a bucket. */
   readonly time: number[];
-  private readonly points: Point[][];
+  private readonly points = new Map<number, Point[]>();
   private readonly min: Float64Array;
   private readonly max: Float64Array;
   private readonly minAt: Float64Array;
@@ -22,22 +22,23 @@ export class Buckets {
 
   constructor(
     private readonly ring: SampleRing,
-    channelCount: number,
+    columns: number[],
     private readonly rateHz: number,
     private readonly bucketTicks: number,
     private readonly bucketCount: number,
   ) {
     this.time = new Array<number>(2 * bucketCount).fill(0);
-    this.points = Array.from({ length: channelCount }, () => new Array<Point>(2 * bucketCount).fill(null));
-    this.min = new Float64Array(channelCount);
-    this.max = new Float64Array(channelCount);
-    this.minAt = new Float64Array(channelCount);
-    this.maxAt = new Float64Array(channelCount);
+    for (const column of columns) this.points.set(column, new Array<Point>(2 * bucketCount).fill(null));
+    const most = Math.max(0, ...columns) + 1;
+    this.min = new Float64Array(most);
+    this.max = new Float64Array(most);
+    this.minAt = new Float64Array(most);
+    this.maxAt = new Float64Array(most);
   }
 
-  channel(index: number): Point[] {
-    const points = this.points[index];
-    if (!points) throw new RangeError(`no channel ${index}`);
+  channel(column: number): Point[] {
+    const points = this.points.get(column);
+    if (!points) throw new RangeError(`no channel ${column}`);
     return points;
   }
 
@@ -46,17 +47,16 @@ export class Buckets {
     this.stale = true;
   }
 
-  /** Folds in what came since the last update. */
-  update(): void {
-    const end = this.ring.end;
+  /** Folds in what came since the last update, up to the tick `end`. */
+  update(end = this.ring.end): void {
     const windowTicks = this.bucketTicks * this.bucketCount;
     const anew = this.stale || this.generation !== this.ring.generation;
-    if (anew || end - this.next > windowTicks) this.restart(end);
+    if (anew || end < this.next || end - this.next > windowTicks) this.restart(end);
     while (this.next < end) {
       const bucket = Math.floor(this.next / this.bucketTicks);
       if (bucket !== this.lastBucket) this.advanceTo(bucket);
       const stop = Math.min(end, (bucket + 1) * this.bucketTicks);
-      for (let channel = 0; channel < this.points.length; channel++) this.fold(channel, this.next, stop);
+      for (const column of this.points.keys()) this.fold(column, this.next, stop);
       this.next = stop;
     }
   }
@@ -73,7 +73,7 @@ export class Buckets {
   private advanceTo(bucket: number): void {
     const shift = 2 * Math.min(this.bucketCount, bucket - this.lastBucket);
     const keep = 2 * this.bucketCount - shift;
-    for (const points of this.points) {
+    for (const points of this.points.values()) {
       points.copyWithin(0, shift);
       points.fill(null, keep);
     }

@@ -1,7 +1,7 @@
 import { create, setAttribute } from "../dom";
 import type { PlotSpec, Trace } from "./traces";
 
-/** One button for each tissue; it hides the lines of that tissue in every chart. */
+/** One button for each tissue, which hides its lines in every chart, and one for each line of the tool. */
 export class Legend {
   readonly hidden = new Set<string>();
 
@@ -11,40 +11,43 @@ export class Legend {
   ) {}
 
   rebuild(specs: PlotSpec[]): void {
-    const traces = new Map<string, Trace>();
-    for (const trace of specs.flatMap((spec) => spec.traces)) {
-      if (trace.ofTissue) traces.set(trace.key, trace);
-    }
-    this.box.replaceChildren(...[...traces.values()].map((trace) => this.button(trace)));
+    const tissues = new Map(specs.flatMap(({ traces }) => traces.filter((trace) => trace.ofTissue)).map((trace) => [trace.key, trace]));
+    this.box.replaceChildren(...[...tissues.values()].map((trace) => this.tissueButton(trace)));
   }
 
-  private button(trace: Trace): HTMLButtonElement {
-    const button = create("button", "legend-key");
-    button.type = "button";
-    button.dataset.slot = slotOf(trace);
+  /** The lines of a chart that belong to the tool rather than to a tissue, for its heading. */
+  lines(spec: PlotSpec): HTMLElement[] {
+    return spec.traces
+      .filter((trace) => !trace.ofTissue)
+      .map((trace) => {
+        const button = this.button(trace, `${spec.id} ${trace.key}`, "line-name");
+        button.append(create("span", "line-sample"), trace.name);
+        return button;
+      });
+  }
+
+  private tissueButton(trace: Trace): HTMLButtonElement {
+    const button = this.button(trace, trace.key, "legend-key");
+    setAttribute(button, "aria-label", trace.name); // on a narrow chart only the mark is shown
     button.title = `Show or hide ${trace.name.toLowerCase()} in all charts`;
     button.append(create("span", "swatch", trace.mark), create("span", "legend-name", trace.name));
-    setAttribute(button, "aria-pressed", String(!this.hidden.has(trace.key)));
+    return button;
+  }
+
+  private button(trace: Trace, key: string, className: string): HTMLButtonElement {
+    const button = create("button", className);
+    button.type = "button";
+    button.dataset.slot = trace.colour.replace(/^--(tissue|line)-/, "");
+    setAttribute(button, "aria-pressed", String(!this.hidden.has(key)));
     button.addEventListener("click", () => {
-      const visible = this.hidden.delete(trace.key);
-      if (!visible) this.hidden.add(trace.key);
+      const visible = this.hidden.delete(key);
+      if (!visible) this.hidden.add(key);
       setAttribute(button, "aria-pressed", String(visible));
-      this.onToggle(trace.key, visible);
+      this.onToggle(key, visible);
     });
     return button;
   }
 }
 
-/** The lines of a chart that belong to the tool rather than to a tissue, for its heading. */
-export function lineNames(spec: PlotSpec): HTMLElement[] {
-  return spec.traces
-    .filter((trace) => !trace.ofTissue)
-    .map((trace) => {
-      const name = create("span", "line-name");
-      name.dataset.slot = slotOf(trace);
-      name.append(create("span", "line-sample"), trace.name);
-      return name;
-    });
-}
-
-const slotOf = (trace: Trace): string => trace.colour.replace(/^--(tissue|line)-/, "");
+/** What the legend calls a line: tissues by their name in all charts, the tool's lines by chart and name. */
+export const legendKey = (spec: PlotSpec, trace: Trace): string => (trace.ofTissue ? trace.key : `${spec.id} ${trace.key}`);

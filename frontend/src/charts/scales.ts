@@ -39,7 +39,7 @@ const probability: VerticalScale = {
 
 /** Whole decades that hold the library and the estimates; estimates that run away leave the chart, not the scale. */
 const parameter = (hello: Hello, which: Parameter): VerticalScale => {
-  const library = hello.tissues.map((tissue) => tissue[which]);
+  const library = hello.library.tissues.map((tissue) => tissue[which]);
   const low = Math.min(...library);
   const high = Math.max(...library);
   return {

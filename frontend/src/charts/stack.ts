@@ -1,14 +1,15 @@
 import "uplot/dist/uPlot.min.css";
 import type uPlot from "uplot";
-import { byId, setAttribute, setData, setText } from "../dom";
+import { byId, setAttribute, setData, setHidden, setText } from "../dom";
+import { NO_VALUE, fixed } from "../format";
 import type { Model } from "../live/model";
 import type { SampleRing } from "../live/ring";
-import { NO_VALUE } from "../format";
 import { Buckets } from "./buckets";
-import { Legend, lineNames } from "./legend";
+import { Legend } from "./legend";
 import { verticalScale } from "./scales";
-import { Strip, WINDOW_S } from "./strip";
+import { Strip } from "./strip";
 import { plotSpecs, type Parameter, type PlotSpec } from "./traces";
+import { View } from "./view";
 
 /** Pairs of points across a chart, about one a pixel; 500 cost half as much time again. */
 const BUCKETS = 250;
@@ -23,16 +24,20 @@ const PARAMETERS: Record<Parameter, string> = {
 export class ChartStack {
   private strips: Strip[] = [];
   private buckets: Buckets | null = null;
+  private view: View | null = null;
   private builtFor: { ring: SampleRing; channels: unknown } | null = null;
-  private drawnTick = -1;
+  private drawn = "";
+  private pausedBefore = false;
   private parameter: Parameter = "alpha_n";
-  private paused = false;
   private readonly legend = new Legend(byId("legend"), (key, visible) =>
     this.strips.forEach((strip) => strip.show(key, visible)),
   );
+  private readonly scrub = byId<HTMLInputElement>("scrub-position");
 
   constructor(private readonly model: Model) {
     byId("pause").addEventListener("click", () => this.togglePause());
+    byId("zoom-reset").addEventListener("click", () => this.reset());
+    this.scrub.addEventListener("input", () => this.scrubTo(Number(this.scrub.value)));
     for (const button of this.parameterButtons()) {
       button.addEventListener("click", () => this.choose(button.dataset.parameter as Parameter));
     }
@@ -44,42 +49,56 @@ export class ChartStack {
     setData(byId("charts"), "empty", String(ring === null || ring.isEmpty));
     if (!ring || !hello) return;
     if (this.builtFor?.ring !== ring || this.builtFor.channels !== hello.channels) this.rebuild();
-    if (this.paused && this.drawnTick >= 0) return;
-    if (!this.buckets || ring.isEmpty || ring.end === this.drawnTick) return;
-    this.buckets.update();
-    this.drawnTick = ring.end;
-    const endS = ring.end / hello.tool.sample_rate_hz;
-    for (const strip of this.strips) strip.draw(this.buckets, endS);
+    const { view, buckets } = this;
+    if (!view || !buckets || ring.isEmpty) return;
+    const state = `${view.endTick} ${view.spanTicks} ${ring.generation}`;
+    if (state === this.drawn) return;
+    this.drawn = state;
+    buckets.update(view.endTick);
+    const toS = view.endTick / view.rateHz;
+    const shown = { fromS: toS - view.spanTicks / view.rateHz, toS, nowS: view.nowTick / view.rateHz };
+    for (const strip of this.strips) strip.draw(buckets, shown);
+    this.renderControls(view);
   }
 
   /** Older samples have come in: read the ring again. */
   historyChanged(): void {
     this.buckets?.invalidate();
+    this.drawn = "";
   }
 
   /** Builds the charts anew: other channels, other parameter, other theme. */
   rebuild(): void {
     const { ring, hello } = this.model;
     if (!ring || !hello) return;
-    const bucketTicks = Math.max(1, Math.ceil((hello.tool.sample_rate_hz * WINDOW_S) / BUCKETS));
-    this.buckets = new Buckets(ring, hello.channels.length, hello.tool.sample_rate_hz, bucketTicks, BUCKETS + 1);
+    if (this.builtFor?.ring !== ring) this.view = new View(ring, hello.tool.sample_rate_hz);
     this.builtFor = { ring, channels: hello.channels };
-    this.drawnTick = -1;
     for (const strip of this.strips) strip.destroy();
     const specs = plotSpecs(this.model, this.parameter);
     this.legend.rebuild(specs);
     this.strips = specs.map((spec) => this.strip(spec));
+    this.bucketsAnew();
     setText(byId("parameter-unit"), PARAMETERS[this.parameter]);
   }
 
-  togglePause(): void {
-    this.paused = !this.paused;
-    this.historyChanged();
-    this.drawnTick = -1;
-    setAttribute(byId("pause"), "aria-pressed", String(this.paused));
-    setText(byId("pause-text"), this.paused ? "Go on" : "Pause");
-    setData(byId("charts"), "paused", String(this.paused));
+  close(): void {
+    for (const strip of this.strips) strip.destroy();
   }
+
+  togglePause(): void {
+    if (this.view?.paused) this.reset();
+    else this.look((view) => view.pause());
+  }
+
+  /** Follow the tool again, ten seconds at a time. */
+  reset(): void {
+    this.look((view) => view.goOn());
+  }
+
+  /** Moves by a share of what is shown. */
+  move = (share: number): void => this.look((view) => view.move(share));
+
+  zoom = (factor: number): void => this.look((view) => view.zoom(factor));
 
   choose(parameter: Parameter): void {
     this.parameter = parameter;
@@ -89,33 +108,79 @@ export class ChartStack {
     this.rebuild();
   }
 
+  private look(change: (view: View) => void): void {
+    if (!this.view) return;
+    change(this.view);
+    this.bucketsAnew();
+    this.renderControls(this.view);
+  }
+
+  private bucketsAnew(): void {
+    const { view } = this;
+    if (!view || !this.builtFor) return;
+    const traces = this.strips.flatMap((strip) => strip.traces);
+    const columns = traces.flatMap(({ column, sdColumn }) => (sdColumn < 0 ? [column] : [column, sdColumn]));
+    const bucketTicks = Math.max(1, Math.ceil(view.spanTicks / BUCKETS));
+    this.buckets = new Buckets(this.builtFor.ring, [...new Set(columns)], view.rateHz, bucketTicks, BUCKETS + 1);
+    this.drawn = "";
+  }
+
+  private scrubTo(secondsBack: number): void {
+    this.look((view) => view.moveTo(view.nowTick + Math.round(secondsBack * view.rateHz)));
+  }
+
+  private renderControls(view: View): void {
+    setAttribute(byId("pause"), "aria-pressed", String(view.paused));
+    setText(byId("pause-text"), view.paused ? "Go on" : "Pause");
+    setData(byId("charts"), "paused", String(view.paused));
+    setHidden(byId("zoom-reset"), !view.changed);
+    setHidden(byId("scrub"), !view.paused);
+    if (!view.paused) return;
+    const { first, last } = view.reach;
+    setAttribute(this.scrub, "min", ((first - last) / view.rateHz).toFixed(2));
+    setAttribute(this.scrub, "max", "0");
+    const back = (view.endTick - last) / view.rateHz;
+    this.scrub.value = back.toFixed(2);
+    const spanS = fixed(view.spanTicks / view.rateHz, 2, "s");
+    setText(byId("scrub-text"), back === 0 ? `${spanS} up to the pause` : `${spanS}, ending ${fixed(-back, 2, "s")} before the pause`);
+  }
+
   private parameterButtons(): HTMLButtonElement[] {
-    return [...document.querySelectorAll<HTMLButtonElement>("button[data-parameter]")];
+    return [...byId("charts").querySelectorAll<HTMLButtonElement>("button[data-parameter]")];
   }
 
   private strip(spec: PlotSpec): Strip {
     const scale = verticalScale(spec.id, this.model.hello!, this.parameter);
     const readout = byId(`readout-${spec.id}`);
     setText(readout, "");
-    byId(`lines-${spec.id}`).replaceChildren(...lineNames(spec));
+    byId(`lines-${spec.id}`).replaceChildren(...this.legend.lines(spec));
     return new Strip(byId(`chart-${spec.id}`), {
       spec,
       scale,
       showTime: spec.id === CHARTS.at(-1),
       hidden: this.legend.hidden,
-      onCursor: (chart) => setText(readout, readoutAt(chart, spec, scale.readout)),
+      onCursor: (chart) => setText(readout, this.readoutAt(chart, spec, scale.readout)),
+      onPress: () => {
+        this.pausedBefore = this.view?.paused ?? false;
+        this.look((view) => view.pause());
+      },
+      onRelease: (marked) =>
+        this.look((view) => {
+          if (marked) view.show(marked.fromS * view.rateHz, marked.toS * view.rateHz);
+          else if (!this.pausedBefore) view.goOn();
+        }),
     });
   }
-}
 
-/** The values under the cursor, in words; empty while the cursor is elsewhere. */
-function readoutAt(chart: uPlot, spec: PlotSpec, say: (value: number) => string): string {
-  const index = chart.cursor.idx;
-  if (index === null || index === undefined || (chart.cursor.left ?? -1) < 0) return "";
-  const values = spec.traces.map((trace, i) => {
-    const value = chart.data[i + 1]?.[index];
-    return `${trace.mark || trace.name} ${typeof value === "number" ? say(value) : NO_VALUE}`;
-  });
-  const ago = (chart.scales.x?.max ?? 0) - (chart.data[0][index] ?? 0);
-  return `−${ago.toFixed(2)} s: ${values.join(" · ")}`;
+  /** The values under the cursor, in words; empty while the cursor is elsewhere. */
+  private readoutAt(chart: uPlot, spec: PlotSpec, say: (value: number) => string): string {
+    const index = chart.cursor.idx;
+    if (index === null || index === undefined || (chart.cursor.left ?? -1) < 0 || !this.view) return "";
+    const values = spec.traces.map((trace, i) => {
+      const value = chart.data[i + 1]?.[index];
+      return `${trace.mark || trace.name} ${typeof value === "number" ? say(value) : NO_VALUE}`;
+    });
+    const ago = this.view.nowTick / this.view.rateHz - (chart.data[0][index] ?? 0);
+    return `−${ago.toFixed(2)} s: ${values.join(" · ")}`;
+  }
 }

@@ -1,12 +1,15 @@
 import uPlot from "uplot";
+import { cssColour } from "../dom";
+import { drawBands } from "./bands";
 import type { Buckets } from "./buckets";
 import { drawEndMarks, MARK_ROOM_PX, type MarkColours } from "./endmarks";
+import { legendKey } from "./legend";
 import { asScale, type VerticalScale } from "./scales";
 import type { PlotSpec, Trace } from "./traces";
 
-export const WINDOW_S = 10;
-const GRID_S = 2;
+const TIME_LABELS = 6;
 const VALUES_PX = 46;
+const SHORTEST_DRAG_PX = 6;
 /** 1, 2 and 5 times the powers of ten, so that every label is a short number. */
 const STEPS = [-5, -4, -3, -2, -1, 0, 1, 2].flatMap((exponent) => [1, 2, 5].map((digit) => digit * 10 ** exponent));
 const FONT = "12px system-ui, sans-serif";
@@ -18,12 +21,26 @@ export interface StripOptions {
   showTime: boolean;
   hidden: ReadonlySet<string>;
   onCursor: (chart: uPlot) => void;
+  /** The button went down: the lines must stand still while a stretch is marked. */
+  onPress: () => void;
+  /** The button came up; a stretch of time was marked, seconds since tick 0, or none. */
+  onRelease: (marked: { fromS: number; toS: number } | null) => void;
 }
 
-/** One strip chart of the last ten seconds. */
+/** The stretch of time that a chart shows, seconds since tick 0; `nowS` is what its labels count back from. */
+export interface TimeWindow {
+  fromS: number;
+  toS: number;
+  nowS: number;
+}
+
+/** One strip chart. */
 export class Strip {
   private readonly chart: uPlot;
   private readonly sizes: ResizeObserver;
+  private buckets: Buckets | null = null;
+  private nowS = 0;
+  private marked: { fromS: number; toS: number } | null = null;
 
   constructor(
     private readonly box: HTMLElement,
@@ -31,6 +48,11 @@ export class Strip {
   ) {
     const data: uPlot.AlignedData = [[], ...options.spec.traces.map(() => [])];
     this.chart = new uPlot(this.plotOptions(), data, box);
+    this.chart.over.addEventListener("mousedown", () => {
+      this.marked = null;
+      options.onPress();
+      document.addEventListener("mouseup", () => setTimeout(() => options.onRelease(this.marked)), { once: true });
+    });
     this.sizes = new ResizeObserver(() => this.chart.setSize(this.size()));
     this.sizes.observe(box);
   }
@@ -39,24 +61,39 @@ export class Strip {
     return this.options.spec.traces;
   }
 
-  draw(buckets: Buckets, endS: number): void {
+  draw(buckets: Buckets, window: TimeWindow): void {
+    this.buckets = buckets;
+    this.nowS = window.nowS;
     const data: uPlot.AlignedData = [buckets.time, ...this.traces.map((trace) => buckets.channel(trace.column))];
     this.chart.batch(() => {
       this.chart.setData(data, false);
-      this.chart.setScale("x", { min: endS - WINDOW_S, max: endS });
+      this.chart.setScale("x", { min: window.fromS, max: window.toS });
     });
   }
 
   /** Shows or hides the traces of a legend key. */
   show(key: string, visible: boolean): void {
     this.traces.forEach((trace, i) => {
-      if (trace.key === key) this.chart.setSeries(i + 1, { show: visible });
+      if (legendKey(this.options.spec, trace) === key) this.chart.setSeries(i + 1, { show: visible });
     });
   }
 
   destroy(): void {
     this.sizes.disconnect();
     this.chart.destroy();
+  }
+
+  private timeAxis(showTime: boolean): uPlot.Axis {
+    return {
+      size: showTime ? 28 : 0,
+      gap: 8,
+      font: FONT,
+      stroke: cssColour("--text-dim"),
+      grid: { stroke: cssColour("--grid"), width: 1 },
+      ticks: { show: false },
+      splits: (_chart, _axis, min, max) => timesBack(this.nowS, min, max),
+      values: (_chart, splits) => splits.map((s) => (showTime ? secondsBack(this.nowS - s) : "")),
+    };
   }
 
   private size(): { width: number; height: number } {
@@ -71,9 +108,9 @@ export class Strip {
       ...this.size(),
       padding: [8, MARK_ROOM_PX, showTime ? 0 : 4, 0],
       legend: { show: false },
-      cursor: { y: false, points: { show: false }, drag: { x: false, y: false }, sync: { key: "strips" } },
+      cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, sync: { key: "strips" } },
       scales: { x: { time: false, auto: false }, y: asScale(scale) },
-      axes: [timeAxis(showTime), valueAxis(scale)],
+      axes: [this.timeAxis(showTime), valueAxis(scale)],
       series: [
         {},
         ...spec.traces.map((trace) => ({
@@ -81,39 +118,39 @@ export class Strip {
           width: line,
           dash: trace.dash,
           auto: trace.scaled,
-          show: !hidden.has(trace.key),
+          show: !hidden.has(legendKey(spec, trace)),
           points: { show: false },
         })),
       ],
       hooks: {
+        drawAxes: [(chart) => this.buckets && drawBands(chart, spec.traces, this.buckets)],
         draw: [(chart) => drawEndMarks(chart, spec.traces, marks)],
         setCursor: [onCursor],
+        setSelect: [
+          (chart) => {
+            const { left, width } = chart.select;
+            if (width < SHORTEST_DRAG_PX) return;
+            this.marked = { fromS: chart.posToVal(left, "x"), toS: chart.posToVal(left + width, "x") };
+            chart.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+          },
+        ],
       },
     };
   }
 }
 
-/** The colour of a custom property in the theme that is on. */
-function cssColour(name: string): string {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-}
-
 const markColours = ({ ofTissue, colour }: Trace): MarkColours =>
   ofTissue ? { face: cssColour(colour), ink: cssColour(`${colour}-ink`) } : { face: null, ink: cssColour(colour) };
 
-function timeAxis(showTime: boolean): uPlot.Axis {
-  const steps = Array.from({ length: WINDOW_S / GRID_S + 1 }, (_, i) => i * GRID_S - WINDOW_S);
-  return {
-    size: showTime ? 28 : 0,
-    gap: 8,
-    font: FONT,
-    stroke: cssColour("--text-dim"),
-    grid: { stroke: cssColour("--grid"), width: 1 },
-    ticks: { show: false },
-    splits: (_chart, _axis, _min, max) => steps.map((step) => max + step),
-    values: () => (showTime ? steps.map((step) => (step === 0 ? "0 s" : `−${-step} s`)) : steps.map(() => "")),
-  };
+/** Round times before `nowS` that lie in the window. */
+function timesBack(nowS: number, min: number, max: number): number[] {
+  const step = STEPS.find((each) => (max - min) / each <= TIME_LABELS) ?? max - min;
+  const first = Math.ceil((nowS - max) / step - 1e-6);
+  const count = Math.floor((nowS - min) / step + 1e-6) - first + 1;
+  return Array.from({ length: Math.max(0, count) }, (_, i) => nowS - (first + i) * step).toReversed();
 }
+
+const secondsBack = (s: number): string => (Math.abs(s) < 1e-6 ? "0 s" : `−${Number(s.toFixed(3))} s`);
 
 function valueAxis(scale: VerticalScale): uPlot.Axis {
   const { splits } = scale;

@@ -12,6 +12,8 @@ export interface Trace {
   /** CSS custom property of its colour. */
   colour: string;
   dash: number[];
+  /** Column of the SD of its logarithm, drawn as a band; -1 where there is none. */
+  sdColumn: number;
   /** Whether the vertical scale makes room for it: estimates may run away, measurements may not. */
   scaled: boolean;
 }
@@ -31,6 +33,7 @@ const plain = (model: Model, channel: string, key: string, name: string, colour:
   mark: "",
   colour,
   dash: [],
+  sdColumn: -1,
   scaled: true,
 });
 
@@ -42,12 +45,20 @@ const ofTissue = (model: Model, channel: string, look: Look, scaled: boolean): T
   mark: look.mark,
   colour: `--tissue-${look.slot}`,
   dash: [],
+  sdColumn: -1,
   scaled,
 });
 
+/** The SD of each parameter's logarithm. */
+const SD_OF: Record<Parameter, string> = {
+  alpha_n: "log_alpha_sd",
+  beta_per_m: "log_beta_sd",
+  damping_kg_per_s: "log_damping_sd",
+};
+
 /** The lines of the four charts, as far as the server's channels go. */
 export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
-  const looks = looksOf(model.hello?.tissues ?? []);
+  const looks = looksOf(model.tissues);
   const library = looks.filter((look) => look.slot !== UNKNOWN_SLOT);
   const limit = { ...plain(model, "threshold_n", "limit", "limit", "--line-limit"), mark: "limit", dash: [6, 4] };
   const specs = [
@@ -69,7 +80,13 @@ export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
       ],
     },
     { id: "probability", traces: looks.map((look) => ofTissue(model, "probability", look, true)) },
-    { id: "parameter", traces: library.map((look) => ofTissue(model, parameter, look, true)) },
+    {
+      id: "parameter",
+      traces: library.map((look) => ({
+        ...ofTissue(model, parameter, look, true),
+        sdColumn: model.column(SD_OF[parameter], look.name),
+      })),
+    },
   ];
   return specs.map(({ id, traces }) => ({ id, traces: traces.filter((trace) => trace.column >= 0) }));
 }

@@ -1,4 +1,4 @@
-import type { FrameReceived, ServerMessage } from "../wire";
+import type { FrameReceived, ReplayControl, ServerMessage } from "../wire";
 import { decodeFrame, type Frame } from "./frame";
 
 const FIRST_RETRY_MS = 250;
@@ -12,21 +12,45 @@ export interface Listener {
   onConnected(connected: boolean): void;
 }
 
-/** The WebSocket to `/api/live`, opened again and again until it holds. */
+/** A WebSocket to the live stream or to a replay, opened again and again until it holds. */
 export class Connection {
   private socket: WebSocket | null = null;
   private retryMs = FIRST_RETRY_MS;
   private heardMs = 0;
 
-  constructor(private readonly listener: Listener) {}
+  private watch = 0;
+  private retry = 0;
+
+  constructor(
+    private readonly path: string,
+    private readonly listener: Listener,
+  ) {}
 
   start(): void {
     this.open();
-    setInterval(() => this.dropIfSilent(), 1000);
+    this.watch = window.setInterval(() => this.dropIfSilent(), 1000);
+  }
+
+  /** Leave for good. */
+  close(): void {
+    clearInterval(this.watch);
+    clearTimeout(this.retry);
+    const socket = this.socket;
+    this.socket = null;
+    if (!socket) return;
+    socket.onmessage = socket.onclose = null;
+    socket.close();
+  }
+
+  /** False when there is no connection to send on. */
+  send(message: ReplayControl): boolean {
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
   }
 
   private open(): void {
-    const address = new URL("/api/live", location.href);
+    const address = new URL(this.path, location.href);
     address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
@@ -64,7 +88,7 @@ export class Connection {
     socket.onmessage = socket.onclose = null;
     socket.close();
     this.listener.onConnected(false);
-    setTimeout(() => this.open(), this.retryMs);
+    this.retry = window.setTimeout(() => this.open(), this.retryMs);
     this.retryMs = Math.min(this.retryMs * 2, LONGEST_RETRY_MS);
   }
 }

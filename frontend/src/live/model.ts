@@ -1,11 +1,12 @@
 import { SCHEMA_VERSION } from "../wire";
-import type { Alarm, GraspEnded, Hello, Identification, ServerMessage, State } from "../wire";
+import type { Alarm, GraspEnded, Hello, Identification, ReplayState, ServerMessage, State, TissueInfo } from "../wire";
 import { ServerClock } from "./clock";
 import type { Frame } from "./frame";
 import { FreshnessWatch } from "./freshness";
 import { SampleRing } from "./ring";
 
-const RING_S = 60;
+/** What can be looked back over, about 50 MB at the full rate. */
+export const RING_S = 300;
 const GRASPS_KEPT = 200;
 
 /** Everything the page knows, as the server last told it. Cards read it; only messages change it. */
@@ -14,7 +15,10 @@ export class Model {
   state: State | null = null;
   identification: Identification | null = null;
   ring: SampleRing | null = null;
+  replay: ReplayState | null = null;
   connected = false;
+  /** Samples between those that came which never did. */
+  samplesMissed = 0;
   /** Page time at which the held grasp ended, for "last grasp, 12 s ago"; null while one is held. */
   graspEndedAt: number | null = null;
   /** Newest sample on the server's clock. */
@@ -27,12 +31,24 @@ export class Model {
   readonly clock = new ServerClock();
   readonly freshness = new FreshnessWatch(performance.now());
 
+  /** `isReplay`: what it shows was once, and nothing of it is live. */
+  constructor(readonly isReplay = false) {}
+
   get wrongVersion(): boolean {
     return this.hello !== null && this.hello.schema_version !== SCHEMA_VERSION;
   }
 
   get isStarting(): boolean {
     return this.connected && this.state?.phase === "starting";
+  }
+
+  /** The service shows recordings only. */
+  get hasNoTool(): boolean {
+    return this.state?.phase === "replay";
+  }
+
+  get tissues(): TissueInfo[] {
+    return this.hello?.library.tissues ?? [];
   }
 
   /** Newest value of a channel; NaN where there is none. */
@@ -48,12 +64,13 @@ export class Model {
   titleOf(label: string): string {
     if (label === "unknown") return "Unknown";
     if (label === "undecided") return "Undecided";
-    return this.hello?.tissues.find((tissue) => tissue.name === label)?.title ?? label;
+    return this.tissues.find((tissue) => tissue.name === label)?.title ?? label;
   }
 
   takeFrame(frame: Frame, nowMs: number): void {
-    this.ring?.write(frame);
     if (frame.rows === 0) return;
+    if (this.ring && !this.ring.isEmpty && !frame.history) this.samplesMissed += Math.max(0, frame.firstTick - this.ring.end);
+    this.ring?.write(frame);
     this.newestMs = frame.newestMs;
     this.freshness.frameArrived(nowMs, nowMs - this.clock.toPage(frame.newestMs));
   }
@@ -71,11 +88,14 @@ export class Model {
       case "grasp":
         return this.takeGrasp(message);
       case "alarm":
-        if (message.active) this.alarms.set(message.id, message);
+        if (message.active || message.latched) this.alarms.set(message.id, message);
         else this.alarms.delete(message.id);
         return;
       case "event":
         this.lastEvent = message.text;
+        return;
+      case "replay_state":
+        this.replay = message;
     }
   }
 
@@ -85,6 +105,8 @@ export class Model {
       this.ring = new SampleRing(hello.channels.length, Math.ceil(hello.tool.sample_rate_hz * RING_S));
     }
     this.hello = hello;
+    this.samplesMissed = 0;
+    this.identification = null;
     this.alarms.clear();
     this.clock.reset();
     this.clock.heard(hello.server_time_ms, nowMs);

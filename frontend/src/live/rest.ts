@@ -1,4 +1,4 @@
-import type { Problem, ProtocolInfo, Run, RunRequest, StopAnswer } from "../wire";
+import type { AcknowledgeRequest, Alarm, Problem, ProtocolInfo, Run, RunRequest, StopAnswer, StopRequest } from "../wire";
 
 const PATIENCE_MS = 5000;
 const STOP_PATIENCE_MS = 2000;
@@ -9,11 +9,26 @@ export class Refused extends Error {}
 /** Nobody answered. */
 export class Unreachable extends Error {}
 
-export const getProtocols = (): Promise<ProtocolInfo[]> => ask("GET", "/api/protocols", PATIENCE_MS);
+/** What went wrong, in words. */
+export const messageOf = (error: unknown): string => (error instanceof Error ? error.message : String(error));
 
-export const startRun = (request: RunRequest): Promise<Run> => ask("POST", "/api/runs", PATIENCE_MS, request);
+export const getJson = <Answer>(path: string): Promise<Answer> => ask("GET", path, PATIENCE_MS);
 
-export const sendStop = (): Promise<StopAnswer> => ask("POST", "/api/stop", STOP_PATIENCE_MS);
+export const postJson = <Answer>(path: string, body?: unknown): Promise<Answer> => ask("POST", path, PATIENCE_MS, body);
+
+export const getProtocols = (): Promise<ProtocolInfo[]> => getJson("/api/protocols");
+
+export const startRun = (request: RunRequest): Promise<Run> => postJson("/api/runs", request);
+
+export const sendStop = (by: string | null): Promise<StopAnswer> => {
+  const request: StopRequest = { by };
+  return ask("POST", "/api/stop", STOP_PATIENCE_MS, request);
+};
+
+export const acknowledgeAlarm = (id: string, by: string): Promise<Alarm> => {
+  const request: AcknowledgeRequest = { by };
+  return postJson(`/api/alarms/${encodeURIComponent(id)}/acknowledge`, request);
+};
 
 async function ask<Answer>(method: string, path: string, patienceMs: number, body?: unknown): Promise<Answer> {
   let response: Response;

@@ -1,7 +1,10 @@
-import { byId, setData, setHidden, setText } from "../dom";
+import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
 import { clockTime, elapsed } from "../format";
 import type { Model } from "../live/model";
+import { acknowledgeAlarm, messageOf } from "../live/rest";
 import type { Alarm, Priority } from "../wire";
+import type { Person } from "./person";
+import type { AlarmSound } from "./sound";
 
 /** An alarm as the bar shows it; `beganAt` in page time. */
 export interface ShownAlarm {
@@ -9,40 +12,120 @@ export interface ShownAlarm {
   priority: Priority;
   text: string;
   beganAt: number;
+  /** The cause is gone, but nobody has acknowledged it. */
+  latched: boolean;
+  acknowledgedBy: string | null;
 }
+
+/** An alarm that the page raises itself. */
+export const pageAlarm = (id: string, priority: ShownAlarm["priority"], text: string, beganAt: number): ShownAlarm => ({
+  id,
+  priority,
+  text,
+  beganAt,
+  latched: false,
+  acknowledgedBy: null,
+});
 
 const RANK: Record<Priority, number> = { high: 3, medium: 2, low: 1 };
 const WORD: Record<Priority, string> = { high: "HIGH", medium: "MEDIUM", low: "LOW" };
 
-/** The highest alarm, always in sight. */
+/** The highest alarm, always in sight; the others on request. */
 export class AlarmBar {
   private readonly bar = byId("alarm-bar");
+  private readonly list = byId("alarm-list");
   private announced = "";
   private last: { text: string; endedAt: number } | null = null;
-  private top: ShownAlarm | null = null;
+  private shown: ShownAlarm[] = [];
+  private listOpen = false;
+  /** Alarms that this page raises itself are acknowledged here: the server may be out of reach. */
+  private readonly ofPageAcknowledged = new Map<string, string>();
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly model: Model,
+    private readonly sound: AlarmSound,
+    private readonly person: Person,
+  ) {
+    byId("acknowledge").addEventListener("click", () => this.acknowledge());
+    byId("alarm-more").addEventListener("click", () => this.toggleList());
+  }
 
   /** Shows the server's alarms together with those that the page raises itself. */
   render(ofPage: ShownAlarm[], nowMs: number): void {
-    const alarms = [...ofPage, ...[...this.model.alarms.values()].map((alarm) => this.shown(alarm))];
-    alarms.sort((a, b) => RANK[b.priority] - RANK[a.priority] || b.beganAt - a.beganAt);
-    const top = alarms[0] ?? null;
-    if (this.top && !alarms.some((alarm) => alarm.id === this.top?.id)) {
-      this.last = { text: this.top.text, endedAt: nowMs };
+    for (const id of this.ofPageAcknowledged.keys()) {
+      if (!ofPage.some((alarm) => keyOf(alarm) === id)) this.ofPageAcknowledged.delete(id);
     }
-    this.top = top;
+    const own = ofPage.map((alarm) => ({ ...alarm, acknowledgedBy: this.ofPageAcknowledged.get(keyOf(alarm)) ?? null }));
+    const alarms = [...own, ...[...this.model.alarms.values()].map((alarm) => this.asShown(alarm))];
+    alarms.sort(byUrgency);
+    const before = this.shown[0];
+    if (before && !alarms.some(({ id }) => id === before.id)) this.last = { text: before.text, endedAt: nowMs };
+    this.shown = alarms;
+    this.renderBar(alarms, nowMs);
+    this.renderList(alarms, nowMs);
+    const loud = alarms.find(({ acknowledgedBy, latched }) => acknowledgedBy === null && !latched);
+    this.sound.render(loud ? keyOf(loud) : null, loud?.priority ?? null, nowMs);
+    this.announce(alarms[0] ?? null);
+  }
+
+  /** The highest one that nobody has acknowledged yet. */
+  acknowledge(): void {
+    const alarm = this.shown.find(({ acknowledgedBy }) => acknowledgedBy === null);
+    if (alarm) this.acknowledgeOne(alarm);
+  }
+
+  toggleList(): void {
+    this.listOpen = !this.listOpen && this.shown.length > 0;
+    setAttribute(byId("alarm-more"), "aria-expanded", String(this.listOpen));
+  }
+
+  private acknowledgeOne(alarm: ShownAlarm): void {
+    if (alarm.id.startsWith("page:")) {
+      this.ofPageAcknowledged.set(keyOf(alarm), this.person.name ?? "you");
+      return;
+    }
+    this.person.withName((by) => {
+      acknowledgeAlarm(alarm.id, by).catch((error: unknown) => {
+        this.model.lastEvent = `Not acknowledged: ${messageOf(error)}`;
+      });
+    });
+  }
+
+  private renderBar(alarms: ShownAlarm[], nowMs: number): void {
+    const top = alarms[0];
     setData(this.bar, "priority", top?.priority ?? "none");
+    setData(this.bar, "quiet", String(top !== undefined && (top.acknowledgedBy !== null || top.latched)));
     setText(byId("alarm-priority"), top ? WORD[top.priority] : "");
     setText(byId("alarm-text"), top ? top.text : "No alarms");
     setText(byId("alarm-since"), top ? since(top, nowMs) : this.lastAlarm());
-    setHidden(byId("alarm-more"), alarms.length < 2);
-    setText(byId("alarm-more"), `+${alarms.length - 1} more`);
-    this.announce(top);
+    const more = byId("alarm-more");
+    setHidden(more, alarms.length < 2);
+    setText(more, `+${alarms.length - 1} more`);
+    setHidden(byId("acknowledge"), alarms.every(({ acknowledgedBy }) => acknowledgedBy !== null));
   }
 
-  private shown(alarm: Alarm): ShownAlarm {
-    return { id: alarm.id, priority: alarm.priority, text: inWords(alarm), beganAt: this.model.clock.toPage(alarm.began_ms) };
+  private renderList(alarms: ShownAlarm[], nowMs: number): void {
+    if (alarms.length < 2) this.listOpen = false;
+    setHidden(this.list, !this.listOpen);
+    if (!this.listOpen) return;
+    const lines = alarms.map((alarm) => `${WORD[alarm.priority]}: ${alarm.text} ${since(alarm, nowMs)}`);
+    if (this.list.childElementCount !== lines.length) this.list.replaceChildren(...lines.map(() => create("li")));
+    lines.forEach((line, i) => {
+      const item = this.list.children[i] as HTMLElement;
+      setText(item, line);
+      setData(item, "priority", alarms[i]?.priority ?? "low");
+    });
+  }
+
+  private asShown(alarm: Alarm): ShownAlarm {
+    return {
+      id: alarm.id,
+      priority: alarm.priority,
+      text: inWords(alarm),
+      beganAt: this.model.clock.toPage(alarm.began_ms),
+      latched: !alarm.active,
+      acknowledgedBy: alarm.acknowledged_by,
+    };
   }
 
   private lastAlarm(): string {
@@ -51,12 +134,18 @@ export class AlarmBar {
 
   /** Speaks once for each alarm, not at each new value. */
   private announce(top: ShownAlarm | null): void {
-    const key = top ? `${top.id} ${top.priority}` : "";
+    const key = top ? `${keyOf(top)} ${top.latched}` : "";
     if (key === this.announced) return;
     this.announced = key;
     setText(byId("alarm-live"), top ? `${WORD[top.priority]} alarm: ${top.text}` : "Alarm over");
   }
 }
+
+const keyOf = ({ id, priority }: ShownAlarm): string => `${id} ${priority}`;
+
+/** Those that nobody has seen first, then the higher priority, then the newer one. */
+const byUrgency = (a: ShownAlarm, b: ShownAlarm): number =>
+  RANK[b.priority] - RANK[a.priority] || Number(a.latched) - Number(b.latched) || b.beganAt - a.beganAt;
 
 /** The server's words, with value and limit unless they say them already. */
 function inWords({ text, value, limit, unit }: Alarm): string {
@@ -66,6 +155,7 @@ function inWords({ text, value, limit, unit }: Alarm): string {
 }
 
 function since(alarm: ShownAlarm, nowMs: number): string {
-  if (!Number.isFinite(alarm.beganAt)) return "";
-  return `since ${clockTime(alarm.beganAt)} (${elapsed(nowMs - alarm.beganAt)})`;
+  const began = Number.isFinite(alarm.beganAt) ? `since ${clockTime(alarm.beganAt)} (${elapsed(nowMs - alarm.beganAt)})` : "";
+  if (alarm.latched) return `${began}, over by now: acknowledge it`;
+  return alarm.acknowledgedBy === null ? began : `${began}, seen by ${alarm.acknowledgedBy}`;
 }

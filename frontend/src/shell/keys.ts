@@ -1,4 +1,4 @@
-import { byId, create } from "./dom";
+import { byId, create } from "../dom";
 
 export interface KeyAction {
   key: string;
@@ -8,41 +8,55 @@ export interface KeyAction {
 }
 
 /** Escape stops, wherever the focus is; the other keys work outside of fields. */
-export function listenToKeys(stop: () => void, actions: KeyAction[]): void {
-  keepListsInThePage();
-  const dialog = byId<HTMLDialogElement>("keys");
-  const help: KeyAction = { key: "?", shown: "?", does: "Show or hide these keys", run: () => toggle(dialog) };
-  const all = [...actions, help];
-  const rows = [{ shown: "Esc", does: "STOP: ends the run, motor to zero" }, ...all];
-  byId("keys-list").replaceChildren(
-    ...rows.flatMap(({ shown, does }) => [create("dt", "", shown), create("dd", "", does)]),
-  );
-  byId("help").addEventListener("click", () => toggle(dialog));
-  const onKey = (event: KeyboardEvent): void => {
+export class Keys {
+  private readonly dialog = byId<HTMLDialogElement>("keys");
+  private readonly help: KeyAction = { key: "?", shown: "?", does: "Show or hide these keys", run: () => this.toggle() };
+
+  /** `ofPage` tells the keys of the page that is open. */
+  constructor(
+    private readonly stop: () => void,
+    private readonly everywhere: KeyAction[],
+    private readonly ofPage: () => KeyAction[],
+    private readonly onEscape: () => void,
+  ) {
+    byId("help").addEventListener("click", () => this.toggle());
+    window.addEventListener("keydown", (event) => this.onKey(event), { capture: true });
+  }
+
+  close(): void {
+    this.dialog.close();
+  }
+
+  private onKey(event: KeyboardEvent): void {
     if (event.key === "Escape") {
-      if (!event.repeat) stop();
-      dialog.close();
+      if (!event.repeat) this.stop();
+      this.close();
+      this.onEscape();
       return;
     }
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat || isField(event.target)) return;
-    const action = all.find(({ key }) => key === event.key);
-    if (!action || (dialog.open && action !== help)) return;
+    if (event.key === " " && event.target instanceof HTMLButtonElement) return; // presses that button
+    const action = [...this.everywhere, ...this.ofPage(), this.help].find(({ key }) => key === event.key);
+    if (!action || (this.dialog.open && action !== this.help)) return;
     event.preventDefault();
     action.run();
-  };
-  window.addEventListener("keydown", onKey, { capture: true });
+  }
+
+  private toggle(): void {
+    if (this.dialog.open) return this.dialog.close();
+    const rows = [{ shown: "Esc", does: "STOP: ends the run, motor to zero" }, ...this.ofPage(), ...this.everywhere, this.help];
+    byId("keys-list").replaceChildren(
+      ...rows.flatMap(({ shown, does }) => [create("dt", "", shown), create("dd", "", does)]),
+    );
+    this.dialog.show(); // not modal: STOP must stay within reach
+  }
 }
 
 /** Where the stylesheet cannot keep an open list inside the page, lists stay open instead: Esc must always get here. */
-function keepListsInThePage(): void {
+export function keepListsInThePage(root: ParentNode): void {
   if (CSS.supports("appearance", "base-select")) return;
-  for (const select of document.querySelectorAll("select")) select.size = 3;
-}
-
-function toggle(dialog: HTMLDialogElement): void {
-  if (dialog.open) dialog.close();
-  else dialog.show(); // not modal: STOP must stay within reach
+  for (const select of root.querySelectorAll("select")) select.size = 3;
 }
 
 const isField = (target: EventTarget | null): boolean =>
-  target instanceof HTMLInputElement || target instanceof HTMLSelectElement;
+  (target instanceof HTMLInputElement && target.type !== "range") || target instanceof HTMLSelectElement;

@@ -1,43 +1,30 @@
-import { byId, setData, setHidden, setText } from "../dom";
+import { byId, setHidden, setText } from "../dom";
 import { clockTime, duration } from "../format";
-import type { Freshness } from "../live/freshness";
 import type { Model } from "../live/model";
-import type { ShownAlarm } from "./alarms";
+import { pageAlarm, type ShownAlarm } from "./alarms";
 
 const NOTICE_MS = 15_000;
 
-/** Sees to it that old data are never taken for live ones. */
+/** Says on every page when nothing arrives from the tool, and afterwards how long the page was blind. */
 export class Staleness {
-  private readonly ages = [...document.querySelectorAll<HTMLElement>("[data-age]")];
   private noticeUntil = 0;
 
   constructor(private readonly model: Model) {}
 
-  /** Greys what is old and returns the page's own alarm when the data are gone. */
+  /** Returns the page's own alarm when the data are gone. */
   render(nowMs: number): ShownAlarm[] {
     const { freshness } = this.model;
-    if (this.model.isStarting) freshness.nothingDue(nowMs);
-    const state = freshness.at(nowMs);
+    if (this.model.isStarting || this.model.hasNoTool) freshness.nothingDue(nowMs);
+    const lost = freshness.at(nowMs) === "lost";
     const age = freshness.ageMs(nowMs);
-    setData(document.body, "freshness", state);
-    for (const element of this.ages) setText(element, this.ageText(state, age));
     const banner = byId("stale-banner");
-    setHidden(banner, state !== "lost");
-    if (state === "lost") setText(banner, this.lostText(nowMs - age, age));
+    setHidden(banner, !lost);
+    if (lost) setText(banner, this.lostText(nowMs - age, age));
     this.tellBlindTime(nowMs);
-    return state === "lost" && !this.replayIsOver ? [this.alarm(nowMs - age)] : [];
-  }
-
-  private get replayIsOver(): boolean {
-    return this.model.connected && this.model.state?.phase === "ended";
-  }
-
-  private ageText(state: Freshness, age: number): string {
-    return this.model.freshness.everHadData && (state === "old" || state === "lost") ? `${duration(age)} old` : "";
+    return lost ? [this.alarm(nowMs - age)] : [];
   }
 
   private lostText(since: number, age: number): string {
-    if (this.replayIsOver) return "The replay is over. What you see is its end, nothing is live.";
     const how = this.model.connected
       ? "The server is connected but sends no samples."
       : "No connection to the server; trying again.";
@@ -47,12 +34,8 @@ export class Staleness {
 
   private alarm(since: number): ShownAlarm {
     const grasping = this.model.state?.run !== null || this.model.identification?.in_grasp === true;
-    return {
-      id: "page:no-data",
-      priority: this.model.freshness.everHadData && grasping ? "high" : "medium",
-      text: this.model.connected ? "No data from the tool" : "No connection to the server",
-      beganAt: since,
-    };
+    const priority = this.model.freshness.everHadData && grasping ? "high" : "medium";
+    return pageAlarm("page:no-data", priority, this.model.connected ? "No data from the tool" : "No connection to the server", since);
   }
 
   private tellBlindTime(nowMs: number): void {

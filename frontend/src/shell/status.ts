@@ -1,12 +1,13 @@
 import { byId, setData, setHidden, setText } from "../dom";
-import { fixed, NO_VALUE } from "../format";
+import { bytes, fixed, NO_VALUE } from "../format";
 import type { Model } from "../live/model";
-import type { ShownAlarm } from "./alarms";
+import { pageAlarm, type ShownAlarm } from "./alarms";
 import type { ToolKind } from "../wire";
 
-const KIND: Record<ToolKind, string> = { simulated: "SIMULATED", nidaq: "REAL TOOL", recording: "REPLAY" };
+const KIND: Record<ToolKind, string> = { simulated: "SIMULATED", nidaq: "REAL TOOL", recording: "NO TOOL" };
 /** Share of the old mean that stays at each frame: about one second at 30 frames a second. */
 const MEAN_KEEPS = 0.97;
+const LITTLE_DISK_BYTES = 1e9;
 
 /** Which tool this is, and how well the chain from sample to screen runs. */
 export class StatusStrip {
@@ -18,14 +19,29 @@ export class StatusStrip {
     const { hello, state } = this.model;
     setData(byId("tool"), "kind", hello?.tool.kind ?? "none");
     setText(byId("tool-kind"), hello ? `${KIND[hello.tool.kind]}${state?.demo ? " · DEMO" : ""}` : "NOT CONNECTED");
-    setText(byId("tool-title"), hello ? hello.tool.title : "waiting for the server");
+    setText(byId("tool-title"), this.titleInWords());
+    setHidden(byId("demo"), !state?.demo);
+    setText(byId("demo"), state?.demo ? `Demonstration: ${state.demo}` : "");
     setText(byId("status-rate"), fixed(state?.rate_hz, 0, "Hz"));
     setText(byId("status-lost"), state ? String(state.lost_samples) : NO_VALUE);
     setData(byId("status-lost"), "warn", String((state?.lost_samples ?? 0) > 0));
     setText(byId("status-estimator"), fixed(state?.estimator_latency_ms, 1, "ms"));
     setText(byId("status-screen"), fixed(this.toScreenMs, 0, "ms"));
+    const dropped = this.model.samplesMissed;
+    setText(byId("status-dropped"), String(dropped));
+    setData(byId("status-dropped"), "warn", String(dropped > 0));
+    setText(byId("status-recording"), state?.recording ?? "off");
+    setText(byId("status-disk"), state ? bytes(state.free_disk_bytes) : NO_VALUE);
+    setData(byId("status-disk"), "warn", String(state !== null && state.free_disk_bytes < LITTLE_DISK_BYTES));
     setText(byId("status-viewers"), state ? String(state.viewers) : NO_VALUE);
     this.renderNews(state?.faults ?? []);
+  }
+
+  private titleInWords(): string {
+    const { hello } = this.model;
+    if (!hello) return "waiting for the server";
+    if (this.model.hasNoTool) return "this service only shows recordings";
+    return hello.tool.title;
   }
 
   /** What is at fault, or else the last thing that happened. */
@@ -49,6 +65,6 @@ export class StatusStrip {
   alarms(): ShownAlarm[] {
     if (!this.model.wrongVersion) return [];
     const text = "This page is older or newer than the server: reload it";
-    return [{ id: "page:version", priority: "high", text, beganAt: NaN }];
+    return [pageAlarm("page:version", "high", text, NaN)];
   }
 }

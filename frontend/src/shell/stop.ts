@@ -1,8 +1,9 @@
 import { byId, setAttribute, setData, setHidden, setText } from "../dom";
 import { clockTime, count } from "../format";
-import { Refused, sendStop } from "../live/rest";
+import { messageOf, Refused, sendStop } from "../live/rest";
 import type { StopAnswer } from "../wire";
-import type { ShownAlarm } from "./alarms";
+import { pageAlarm, type ShownAlarm } from "./alarms";
+import type { Person } from "./person";
 
 const SUCCESS_SHOWN_MS = 15_000;
 
@@ -13,29 +14,27 @@ export class StopButton {
   private stoppedRun: string | null = null;
   private readonly message = byId("stop-message");
 
-  constructor(private readonly onStop: () => void) {
+  constructor(private readonly person: Person) {
     byId("stop").addEventListener("click", () => void this.stop());
   }
 
   async stop(): Promise<void> {
     const attempt = ++this.latest;
     const pressedAt = performance.now();
-    this.onStop();
     this.say("Stopping…", "pending");
     setAttribute(byId("stop"), "aria-busy", "true");
     try {
-      const answer = await sendStop();
+      const answer = await sendStop(this.person.name);
       if (attempt !== this.latest) return;
       this.failedAt = null;
       this.stoppedRun = answer.run?.id ?? null;
-      this.say(`${this.inWords(answer)} (${clockTime(pressedAt)})`, "done");
+      this.say(`${inWords(answer)} (${clockTime(pressedAt)})`, "done");
       setTimeout(() => attempt === this.latest && setHidden(this.message, true), SUCCESS_SHOWN_MS);
     } catch (error) {
       if (attempt !== this.latest) return;
       this.failedAt = pressedAt;
-      const why = error instanceof Error ? error.message : String(error);
       const what = error instanceof Refused ? "STOP was refused" : "STOP could not be sent";
-      this.say(`${what} – use the hardware switch. ${clockTime(pressedAt)}: ${why}.`, "failed");
+      this.say(`${what} – use the hardware switch. ${clockTime(pressedAt)}: ${messageOf(error)}.`, "failed");
     } finally {
       if (attempt === this.latest) setAttribute(byId("stop"), "aria-busy", "false");
     }
@@ -51,13 +50,7 @@ export class StopButton {
   /** A stop that did not reach the tool stays an alarm until one does. */
   alarms(): ShownAlarm[] {
     if (this.failedAt === null) return [];
-    return [{ id: "page:stop", priority: "high", text: "STOP not sent: use the hardware switch", beganAt: this.failedAt }];
-  }
-
-  private inWords({ stopped, run }: StopAnswer): string {
-    if (!stopped) return "STOP: nothing was running. The motor is at zero.";
-    const after = run ? ` ${run.protocol} after ${count(run.grasps, "grasp")}` : " the run";
-    return `STOPPED${after}. The motor is at zero.`;
+    return [pageAlarm("page:stop", "high", "STOP not sent: use the hardware switch", this.failedAt)];
   }
 
   private say(text: string, outcome: "pending" | "done" | "failed"): void {
@@ -65,4 +58,10 @@ export class StopButton {
     setData(this.message, "outcome", outcome);
     setHidden(this.message, false);
   }
+}
+
+function inWords({ stopped, run }: StopAnswer): string {
+  if (!stopped) return "STOP: nothing was running. The motor is at zero.";
+  const after = run ? ` ${run.protocol} after ${count(run.grasps, "grasp")}` : " the run";
+  return `STOPPED${after}. The motor is at zero.`;
 }

@@ -1,0 +1,23 @@
+import { byId, setData, setText } from "../dom";
+import { duration } from "../format";
+import type { Freshness } from "../live/freshness";
+import type { Model } from "../live/model";
+
+/** Greys what is old on the watch page and says how old it is. A replay is marked as a whole instead. */
+export class Ages {
+  private readonly ages = [...byId("watch").querySelectorAll<HTMLElement>("[data-age]")];
+
+  constructor(private readonly model: Model) {}
+
+  render(nowMs: number): void {
+    const freshness = this.model.isReplay ? (this.model.connected ? "live" : "lost") : this.model.freshness.at(nowMs);
+    setData(byId("watch"), "freshness", freshness);
+    for (const element of this.ages) setText(element, this.inWords(freshness, this.model.freshness.ageMs(nowMs)));
+  }
+
+  private inWords(freshness: Freshness, ageMs: number): string {
+    if (this.model.isReplay) return "";
+    const old = this.model.freshness.everHadData && (freshness === "old" || freshness === "lost");
+    return old ? `${duration(ageMs)} old` : "";
+  }
+}

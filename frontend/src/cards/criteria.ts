@@ -1,0 +1,52 @@
+import { byId, create, setText } from "../dom";
+import { NO_VALUE, newtons, shortTime } from "../format";
+import type { Model } from "../live/model";
+import { looksOf, UNKNOWN_SLOT } from "../tissues";
+import type { TissueInfo } from "../wire";
+
+const FAR_OFF_N = 100;
+
+/** A filter that has run away is far off; how far says nothing. */
+const ofForce = (errorN: number | null | undefined): string =>
+  Math.abs(errorN ?? 0) > FAR_OFF_N ? `>\u202f${FAR_OFF_N}\u202fN` : newtons(errorN);
+
+interface Row {
+  name: string;
+  converged: HTMLElement;
+  error: HTMLElement;
+}
+
+/** The columns of the paper's Table V while the grasp goes on: when each filter converged, and its force error. */
+export class CriteriaTable {
+  private rows: Row[] = [];
+  private rowsFor: TissueInfo[] | null = null;
+
+  constructor(private readonly model: Model) {}
+
+  render(): void {
+    const { tissues, identification } = this.model;
+    if (this.rowsFor !== tissues) this.build(tissues);
+    for (const { name, converged, error } of this.rows) {
+      const time = identification?.convergence_s[name];
+      setText(converged, typeof time === "number" ? shortTime(time) : NO_VALUE);
+      setText(error, ofForce(identification?.force_error_n[name]));
+    }
+  }
+
+  private build(tissues: TissueInfo[]): void {
+    this.rowsFor = tissues;
+    const looks = looksOf(tissues).filter(({ slot }) => slot !== UNKNOWN_SLOT);
+    const lines = looks.map(({ name, title, slot, mark }) => {
+      const line = create("tr");
+      const tissue = create("th", "what");
+      tissue.scope = "row";
+      tissue.dataset.slot = slot;
+      tissue.append(create("span", "swatch", mark), title);
+      const [converged, error] = [create("td"), create("td")];
+      line.append(tissue, converged, error);
+      return { line, row: { name, converged, error } };
+    });
+    this.rows = lines.map(({ row }) => row);
+    byId("criteria-body").replaceChildren(...lines.map(({ line }) => line));
+  }
+}

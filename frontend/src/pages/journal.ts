@@ -1,0 +1,74 @@
+import { byId, create, setAttribute, setHidden, setText } from "../dom";
+import type { JournalEntry, JournalKind } from "../wire";
+import { Polled } from "./polled";
+import { day, moment, Rows, timeOfDay, type Row } from "./rows";
+
+const EVERY_MS = 5000;
+const MOST = 200;
+const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged" };
+
+type Choice = JournalKind | "all";
+
+/** What happened and who did it, newest first, of one kind or of all. */
+export class Journal {
+  private readonly polled: Polled<JournalEntry[]>;
+  private readonly rows = new Rows(byId("journal-body"), (entry: JournalEntry) => JSON.stringify(entry), makeRow);
+  private readonly buttons = new Map<Choice, HTMLButtonElement>();
+  private entries: JournalEntry[] = [];
+  private choice: Choice = "all";
+
+  constructor() {
+    for (const [choice, text] of Object.entries({ all: "All", ...KIND }) as [Choice, string][]) {
+      const button = create("button", "", text);
+      button.type = "button";
+      button.addEventListener("click", () => this.choose(choice));
+      this.buttons.set(choice, button);
+    }
+    byId("journal-kinds").replaceChildren(...this.buttons.values());
+    const [path, section] = [`/api/journal?most=${MOST}`, byId("journal")];
+    this.polled = new Polled({ path, what: "The journal", section, take: (entries) => this.take(entries) });
+  }
+
+  close(): void {
+    this.polled.close();
+  }
+
+  private take(entries: JournalEntry[]): number {
+    this.entries = entries;
+    this.show();
+    return EVERY_MS;
+  }
+
+  private choose(choice: Choice): void {
+    this.choice = choice;
+    this.show();
+  }
+
+  private show(): void {
+    const shown = this.entries.filter(({ kind }) => this.choice === "all" || kind === this.choice);
+    this.rows.show(shown);
+    for (const [choice, button] of this.buttons) setAttribute(button, "aria-pressed", String(choice === this.choice));
+    const newest = this.entries.length === MOST ? `the newest ${MOST}` : String(this.entries.length);
+    setText(byId("journal-count"), `${shown.length} of ${newest}`);
+    setHidden(byId("journal-box"), shown.length === 0);
+    setHidden(byId("journal-empty"), shown.length > 0);
+    setText(byId("journal-empty"), this.entries.length === 0 ? "Nothing has happened yet." : "No line of this kind.");
+  }
+}
+
+function makeRow(entry: JournalEntry): Row<JournalEntry> {
+  const element = create("tr", entry.kind);
+  const [time, kind, what] = [create("td"), create("td", "roomy", KIND[entry.kind]), create("td", "", entry.text)];
+  time.append(moment(entry.at, timeOfDay(entry.at), create("small", "", day(entry.at))));
+  const value = valueInWords(entry);
+  const facts = [KIND[entry.kind], entry.by, value].filter(Boolean).join(" · ");
+  what.append(create("small", "narrow", facts));
+  element.append(time, kind, what, create("td", "roomy", entry.by ?? ""), create("td", "number roomy", value));
+  return { element };
+}
+
+function valueInWords({ value, limit, unit }: JournalEntry): string {
+  if (value === null) return "";
+  const ofLimit = limit === null ? "" : ` / ${limit.toFixed(2)}`;
+  return `${value.toFixed(2)}${ofLimit}\u202f${unit ?? ""}`.trim();
+}

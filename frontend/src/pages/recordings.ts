@@ -1,0 +1,151 @@
+import { byId, create, fill, setAttribute, setHidden, setText } from "../dom";
+import { bytes, duration, NO_VALUE } from "../format";
+import { showHints } from "../shell/hints";
+import type { KeyAction } from "../shell/keys";
+import type { Page } from "../shell/router";
+import type { RecordingInfo, Recordings } from "../wire";
+import "../styles/pages.css";
+import { Polled } from "./polled";
+import markup from "./recordings.html?raw";
+import { dateTime, headCell, moment, Rows, type Row } from "./rows";
+
+const EVERY_MS = 10_000;
+const WHILE_READING_MS = 2000;
+
+type Column = "name" | "modified_at" | "duration_s" | "size_bytes";
+
+/** The recordings folder: find one, watch it again, download it. */
+export class RecordingsPage implements Page {
+  readonly keys: KeyAction[] = [
+    { key: "/", shown: "/", does: "Find a recording by its name", run: () => this.filter.focus() },
+  ];
+  private readonly filter: HTMLInputElement;
+  private readonly rows: Rows<RecordingInfo>;
+  private readonly polled: Polled<Recordings>;
+  private recordings: RecordingInfo[] = [];
+  private column: Column = "modified_at";
+  private descending = true;
+
+  constructor(private readonly box: HTMLElement) {
+    fill(box, markup);
+    showHints(box);
+    this.filter = byId<HTMLInputElement>("recordings-filter");
+    this.filter.addEventListener("input", () => this.show());
+    for (const button of this.sortButtons()) button.addEventListener("click", () => this.sortBy(button.dataset.column as Column));
+    this.rows = new Rows(byId("recordings-body"), ({ name }) => name, makeRow);
+    const section = byId("recordings");
+    this.polled = new Polled({ path: "/api/recordings", what: "The list", section, take: (answer) => this.take(answer) });
+  }
+
+  render(): void {}
+
+  close(): void {
+    this.polled.close();
+  }
+
+  private take({ folder, recordings }: Recordings): number {
+    this.recordings = recordings;
+    for (const place of this.box.querySelectorAll(".recordings-folder")) setText(place, folder);
+    this.show();
+    return recordings.some(isBeingRead) ? WHILE_READING_MS : EVERY_MS;
+  }
+
+  private show(): void {
+    const words = this.filter.value.toLowerCase().split(/\s+/);
+    const found = this.recordings.filter(({ name }) => words.every((word) => name.toLowerCase().includes(word)));
+    this.rows.show(found.sort((a, b) => compare(a, b, this.column, this.descending)));
+    const [none, all] = [this.recordings.length === 0, this.recordings.length];
+    setText(byId("recordings-count"), found.length === all ? `${all} of ${all}` : `${found.length} of ${all}`);
+    setText(byId("recordings-no-match"), `No name contains “${this.filter.value.trim()}”.`);
+    setHidden(byId("recordings-empty"), !none);
+    setHidden(byId("recordings-tools"), none);
+    setHidden(byId("recordings-where"), none);
+    setHidden(byId("recordings-box"), found.length === 0);
+    setHidden(byId("recordings-no-match"), none || found.length > 0);
+    for (const button of this.sortButtons()) {
+      const order = button.dataset.column !== this.column ? "none" : this.descending ? "descending" : "ascending";
+      if (button.parentElement) setAttribute(button.parentElement, "aria-sort", order);
+    }
+  }
+
+  /** The same column again turns the order round; names begin with the first, numbers and times with the largest. */
+  private sortBy(column: Column): void {
+    this.descending = column === this.column ? !this.descending : column !== "name";
+    this.column = column;
+    this.show();
+  }
+
+  private sortButtons(): HTMLButtonElement[] {
+    return [...this.box.querySelectorAll<HTMLButtonElement>("button[data-column]")];
+  }
+}
+
+const isBeingRead = ({ duration_s: known, problem }: RecordingInfo): boolean => known === null && problem === null;
+
+/** What is not known comes last, either way. */
+function compare(a: RecordingInfo, b: RecordingInfo, column: Column, descending: boolean): number {
+  const [first, second] = [a[column], b[column]];
+  if (first === null || second === null) return Number(first === null) - Number(second === null);
+  const order =
+    typeof first === "number" && typeof second === "number"
+      ? first - second
+      : String(first).localeCompare(String(second), "en", { numeric: true });
+  return (descending ? -order : order) || a.name.localeCompare(b.name, "en", { numeric: true });
+}
+
+function makeRow({ name }: RecordingInfo): Row<RecordingInfo> {
+  const element = create("tr");
+  const address = encodeURIComponent(name);
+  const link = create("a", "row-link", name);
+  const [problem, small] = [create("small", "problem"), create("small", "narrow")];
+  const [when, length, size] = [create("td", "roomy"), create("td", "number roomy"), create("td", "number roomy")];
+  const replay = create("a", "action", "Replay");
+  replay.href = `/recordings/${address}`;
+  replay.ariaLabel = `Replay ${name}`;
+  const download = create("a", "action", "Download");
+  download.href = `/api/recordings/${address}/file`;
+  download.download = name;
+  download.ariaLabel = `Download ${name}`;
+  const what = headCell("what");
+  what.append(link, small, problem);
+  const actions = create("td", "actions");
+  const buttons = create("div");
+  buttons.append(replay, download);
+  actions.append(buttons);
+  element.append(what, when, length, size, actions);
+  const update = (recording: RecordingInfo): void => {
+    setLink(link, recording.problem === null ? replay.href : null);
+    setHidden(replay, recording.problem !== null);
+    setText(problem, problemInWords(recording));
+    const modified = dateTime(recording.modified_at);
+    if (when.textContent !== modified) when.replaceChildren(moment(recording.modified_at, modified));
+    setText(length, lengthInWords(recording));
+    setText(size, bytes(recording.size_bytes));
+    const facts = [recording.problem === null ? length.textContent : null, modified, size.textContent];
+    setText(small, facts.filter(Boolean).join(" · "));
+  };
+  return { element, update };
+}
+
+/** The file's name stands above it already. */
+function problemInWords({ name, problem }: RecordingInfo): string {
+  if (problem === null) return "";
+  const why = problem.startsWith(name) ? problem.slice(name.length).replace(/^[,:]?\s*/, "") : problem;
+  return `Cannot be replayed: ${why}`;
+}
+
+function lengthInWords(recording: RecordingInfo): string {
+  if (recording.duration_s !== null) return duration(recording.duration_s * 1000);
+  return isBeingRead(recording) ? "reading…" : NO_VALUE;
+}
+
+/** Without an address it is plain text, and the keyboard passes it by. */
+function setLink(link: HTMLAnchorElement, href: string | null): void {
+  if (href === null) {
+    link.removeAttribute("href");
+    delete link.dataset.testid;
+    return;
+  }
+  link.dataset.testid = "recording-link";
+  setAttribute(link, "href", href);
+}

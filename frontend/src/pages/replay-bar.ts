@@ -1,0 +1,108 @@
+import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import { fixed, wholePercent } from "../format";
+import type { Model } from "../live/model";
+import type { KeyAction } from "../shell/keys";
+import type { ReplayControl } from "../wire";
+
+const SPEEDS = [0.25, 0.5, 1, 2, 5, 10];
+const JUMP_S = 2;
+/** A jump to a grasp begins a little before it. */
+const LEAD_S = 0.3;
+
+/** Play, pause, seek and speed of a recording, and what was an alarm in it. */
+export class ReplayBar {
+  readonly keys: KeyAction[];
+  private readonly position = byId<HTMLInputElement>("replay-position");
+  private readonly speed = byId<HTMLSelectElement>("replay-speed");
+  private told = "";
+  private dragging = false;
+
+  constructor(
+    private readonly model: Model,
+    name: string,
+    private readonly ask: (wanted: ReplayControl) => boolean,
+  ) {
+    setHidden(byId("replay-bar"), false);
+    setData(byId("watch"), "replay", "true");
+    setHidden(byId("protocol-panel"), true);
+    setText(byId("watch-title"), `Replay of ${name}`);
+    setText(byId("replay-name"), name);
+    setText(byId("grasps-heading"), "Grasps so far");
+    this.speed.replaceChildren(...SPEEDS.map((speed) => new Option(`${speed} ×`, String(speed), speed === 1, speed === 1)));
+    byId("replay-play").addEventListener("click", () => this.toggle());
+    byId("replay-previous").addEventListener("click", () => this.toGrasp(-1));
+    byId("replay-next").addEventListener("click", () => this.toGrasp(1));
+    this.speed.addEventListener("change", () => this.want({ speed: Number(this.speed.value) }));
+    this.position.addEventListener("input", () => {
+      this.dragging = true;
+      this.want({ position_s: Number(this.position.value) });
+    });
+    this.position.addEventListener("change", () => (this.dragging = false));
+    this.keys = [
+      { key: " ", shown: "Space", does: "Replay: play or pause", run: () => this.toggle() },
+      { key: ",", shown: ",", does: `Replay: ${JUMP_S} s back`, run: () => this.jump(-JUMP_S) },
+      { key: ".", shown: ".", does: `Replay: ${JUMP_S} s forward`, run: () => this.jump(JUMP_S) },
+      { key: "[", shown: "[", does: "Replay: the grasp before", run: () => this.toGrasp(-1) },
+      { key: "]", shown: "]", does: "Replay: the next grasp", run: () => this.toGrasp(1) },
+    ];
+  }
+
+  /** Why a recording cannot be shown, or what happened in it. */
+  tell(text: string): void {
+    this.told = text;
+  }
+
+  render(): void {
+    const { replay, connected } = this.model;
+    const ready = replay !== null && replay.prepared >= 1;
+    for (const id of ["replay-play", "replay-previous", "replay-next", "replay-position", "replay-speed"]) {
+      const control = byId<HTMLButtonElement>(id);
+      if (control.disabled === ready) control.disabled = !ready;
+    }
+    setText(byId("replay-note"), this.note(connected, ready));
+    if (!replay || !ready) return;
+    const length = replay.duration_s ?? 0;
+    setText(byId("replay-play"), replay.playing ? "Pause" : "Play");
+    setAttribute(this.position, "max", String(length));
+    if (!this.dragging) this.position.value = replay.position_s.toFixed(2);
+    setText(byId("replay-time"), `${fixed(replay.position_s, 1, "s")} of ${fixed(length, 1, "s")}`);
+    this.renderAlarms();
+  }
+
+  private note(connected: boolean, ready: boolean): string {
+    if (ready) return this.told;
+    const { replay } = this.model;
+    if (this.told !== "") return `This recording cannot be shown. ${this.told}`;
+    if (!connected && !replay) return "Opening the recording…";
+    return `Preparing the recording: ${wholePercent(replay?.prepared ?? 0)} estimated.`;
+  }
+
+  /** They were alarms then: shown here, without a sound and beside the tool's own. */
+  private renderAlarms(): void {
+    const texts = [...this.model.alarms.values()].map(({ priority, text }) => `In the recording, ${priority}: ${text}`);
+    const box = byId("replay-alarms");
+    if (box.textContent !== texts.join("")) box.replaceChildren(...texts.map((text) => create("li", "", text)));
+  }
+
+  private toggle(): void {
+    this.want({ playing: !(this.model.replay?.playing ?? false) });
+  }
+
+  private jump(seconds: number): void {
+    const at = (this.model.replay?.position_s ?? 0) + seconds;
+    this.want({ position_s: Math.min(Math.max(0, at), this.model.replay?.duration_s ?? 0) });
+  }
+
+  private toGrasp(direction: 1 | -1): void {
+    const { replay } = this.model;
+    if (!replay) return;
+    const starts = replay.grasps.map((at) => Math.max(0, at - LEAD_S));
+    const next = starts.find((at) => at > replay.position_s + 0.05);
+    const before = starts.findLast((at) => at < replay.position_s - 1);
+    this.want({ position_s: (direction > 0 ? next : before) ?? replay.position_s });
+  }
+
+  private want(wanted: Partial<ReplayControl>): void {
+    this.ask({ type: "replay", ...wanted });
+  }
+}

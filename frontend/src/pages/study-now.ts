@@ -1,0 +1,70 @@
+import { byId, setAttribute, setData, setHidden, setText } from "../dom";
+import { count, elapsed } from "../format";
+import { messageOf, postJson } from "../live/rest";
+import type { Person } from "../shell/person";
+import type { StopRequest, StudyRun } from "../wire";
+
+/** The study under way: how far it is, how long it may still take, and its Stop. */
+export class StudyNow {
+  private readonly stop = byId<HTMLButtonElement>("study-stop");
+  private readonly progress = byId<HTMLProgressElement>("study-progress");
+  private readonly message = byId("study-stop-message");
+  private run: StudyRun | null = null;
+
+  /** `onStop` is called once one was asked to stop. */
+  constructor(
+    private readonly person: Person,
+    private readonly onStop: () => void,
+  ) {
+    this.stop.addEventListener("click", () => void this.ask());
+  }
+
+  show(run: StudyRun | null): void {
+    if (run?.id !== this.run?.id) this.say("", "done");
+    this.run = run;
+    setHidden(byId("study-none"), run !== null);
+    setHidden(byId("study-now"), run === null);
+    if (!run) return;
+    setText(byId("study-now-name"), run.study);
+    setText(byId("study-now-title"), run.title);
+    const by = run.by === null ? "" : `, started by ${run.by}`;
+    setText(byId("study-now-facts"), `· ${run.grasps} of each, seed ${run.seed}${by}`);
+    setText(byId("study-now-done"), run.of === null ? "Preparing…" : `${run.done} of ${count(run.of, "case")}`);
+    if (run.of === null) return this.progress.removeAttribute("value");
+    setAttribute(this.progress, "max", String(run.of));
+    setAttribute(this.progress, "value", String(run.done));
+  }
+
+  render(): void {
+    if (!this.run) return;
+    const ms = Date.now() - Date.parse(this.run.started_at);
+    setText(byId("study-now-time"), `${elapsed(ms)}${leftInWords(this.run, ms)}`);
+  }
+
+  private async ask(): Promise<void> {
+    if (!this.run || this.stop.ariaBusy === "true") return;
+    const request: StopRequest = { by: this.person.name };
+    setAttribute(this.stop, "aria-busy", "true");
+    try {
+      await postJson<StudyRun>(`/api/studies/${encodeURIComponent(this.run.id)}/stop`, request);
+      this.say("", "done");
+    } catch (error) {
+      this.say(`Not stopped: ${messageOf(error)}`, "failed");
+    } finally {
+      setAttribute(this.stop, "aria-busy", "false");
+    }
+    this.onStop();
+  }
+
+  private say(text: string, outcome: "done" | "failed"): void {
+    setText(this.message, text);
+    setData(this.message, "outcome", outcome);
+  }
+}
+
+/** If the cases to come take as long as those that are done. */
+function leftInWords({ done, of }: StudyRun, ms: number): string {
+  if (of === null || done === 0) return " so far";
+  const minutes = (ms * (of - done)) / done / 60_000;
+  return minutes < 1 ? " so far, less than a minute left" : ` so far, about ${Math.round(minutes)}\u202fmin left`;
+}

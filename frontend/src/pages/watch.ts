@@ -1,0 +1,100 @@
+import { Ages } from "../cards/ages";
+import { CriteriaTable } from "../cards/criteria";
+import { ForceCard } from "../cards/force";
+import { GraspsTable } from "../cards/grasps";
+import { ProtocolPanel } from "../cards/protocol";
+import { StressCard } from "../cards/stress";
+import { TissueCard } from "../cards/tissue";
+import { ChartStack } from "../charts/stack";
+import { fill } from "../dom";
+import type { Model } from "../live/model";
+import { showHints } from "../shell/hints";
+import { keepListsInThePage, type KeyAction } from "../shell/keys";
+import type { Person } from "../shell/person";
+import type { Page } from "../shell/router";
+import "../styles/watch.css";
+import "../styles/cards.css";
+import "../styles/charts.css";
+import markup from "./watch.html?raw";
+
+/** The cards and charts of one source: the tool as it is now, or a recording. */
+export class WatchPage implements Page {
+  readonly charts: ChartStack;
+  readonly keys: KeyAction[];
+  private readonly tissue: TissueCard;
+  private readonly force: ForceCard;
+  private readonly stress: StressCard;
+  private readonly criteria: CriteriaTable;
+  private readonly grasps: GraspsTable;
+  private readonly protocol: ProtocolPanel;
+  private readonly ages: Ages;
+
+  constructor(
+    box: HTMLElement,
+    model: Model,
+    person: Person,
+  ) {
+    fill(box, markup);
+    keepListsInThePage(box);
+    showHints(box);
+    this.ages = new Ages(model);
+    this.tissue = new TissueCard(model);
+    this.force = new ForceCard(model);
+    this.charts = new ChartStack(model);
+    this.stress = new StressCard(model);
+    this.criteria = new CriteriaTable(model);
+    this.grasps = new GraspsTable(model);
+    this.protocol = new ProtocolPanel(model, person);
+    this.keys = [...chartKeys(this.charts), ...(model.isReplay ? [] : [startKey(this.protocol)])];
+    if (!model.isReplay) void this.protocol.load();
+  }
+
+  render(nowMs: number): void {
+    this.ages.render(nowMs);
+    this.tissue.render(nowMs);
+    this.force.render();
+    this.protocol.render();
+    this.grasps.render();
+    this.criteria.render();
+    this.stress.render(nowMs);
+    this.charts.render();
+  }
+
+  connected(): void {
+    void this.protocol.load();
+  }
+
+  /** What the page said about starting no longer matters. */
+  stopped(): void {
+    this.protocol.forget();
+  }
+
+  themeChanged(): void {
+    this.charts.rebuild();
+    this.stress.rebuild();
+  }
+
+  close(): void {
+    this.charts.close();
+    this.stress.close();
+  }
+}
+
+const startKey = (protocol: ProtocolPanel): KeyAction => ({
+  key: "S",
+  shown: "Shift + S",
+  does: "Start the chosen protocol",
+  run: () => protocol.submitByKey(),
+});
+
+const chartKeys = (charts: ChartStack): KeyAction[] => [
+  { key: "p", shown: "P", does: "Pause the charts, or go on", run: () => charts.togglePause() },
+  { key: "ArrowLeft", shown: "←", does: "Look back", run: () => charts.move(-0.25) },
+  { key: "ArrowRight", shown: "→", does: "Look forward", run: () => charts.move(0.25) },
+  { key: "+", shown: "+", does: "Zoom in", run: () => charts.zoom(0.5) },
+  { key: "-", shown: "−", does: "Zoom out", run: () => charts.zoom(2) },
+  { key: "r", shown: "R", does: "Charts: reset, follow the tool", run: () => charts.reset() },
+  { key: "a", shown: "A", does: "Chart of alpha", run: () => charts.choose("alpha_n") },
+  { key: "b", shown: "B", does: "Chart of beta", run: () => charts.choose("beta_per_m") },
+  { key: "d", shown: "D", does: "Chart of d", run: () => charts.choose("damping_kg_per_s") },
+];

@@ -1,0 +1,29 @@
+import { create } from "../dom";
+
+const KEY = "graspwatch-hints-seen";
+
+/** One line for each area on the first visit; each goes away when it is dismissed, and none comes back by itself. */
+export function showHints(root: ParentNode): void {
+  const seen = seenHints();
+  for (const line of root.querySelectorAll<HTMLElement>("[data-hint]")) {
+    const name = line.dataset.hint ?? "";
+    line.hidden = seen.has(name);
+    if (line.hidden || line.querySelector("button")) continue;
+    const dismiss = create("button", "dismiss", "✕");
+    dismiss.type = "button";
+    dismiss.setAttribute("aria-label", `Do not explain again: ${line.textContent ?? ""}`);
+    dismiss.addEventListener("click", () => {
+      line.hidden = true;
+      localStorage.setItem(KEY, JSON.stringify([...seenHints().add(name)]));
+    });
+    line.append(dismiss);
+  }
+}
+
+const seenHints = (): Set<string> => new Set(JSON.parse(localStorage.getItem(KEY) ?? "[]") as string[]);
+
+/** Explain everything again. */
+export function forgetHints(root: ParentNode): void {
+  localStorage.removeItem(KEY);
+  showHints(root);
+}

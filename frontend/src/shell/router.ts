@@ -1,0 +1,73 @@
+import { byId, setAttribute } from "../dom";
+import type { KeyAction } from "./keys";
+
+/** What fills the page below the header. */
+export interface Page {
+  /** Called for every picture while something arrives, and ten times a second otherwise. */
+  render(nowMs: number): void;
+  /** Its own keys. */
+  readonly keys?: KeyAction[];
+  /** Colours changed. */
+  themeChanged?(): void;
+  close(): void;
+}
+
+export interface Route {
+  /** Of the link in the navigation. */
+  name: string;
+  title: string;
+  matches: (path: string) => boolean;
+  /** Fetches what the page needs of the program; its answer builds the page. */
+  load: () => Promise<(box: HTMLElement, path: string) => Page>;
+}
+
+/** Shows the page of the address; links inside the service change it without loading anything anew. */
+export class Router {
+  page: Page | null = null;
+  private opening = 0;
+  private readonly box = byId("page");
+
+  constructor(
+    private readonly routes: Route[],
+    private readonly onOpen: () => void,
+  ) {
+    document.addEventListener("click", (event) => this.follow(event));
+    window.addEventListener("popstate", () => void this.show());
+  }
+
+  go(path: string): void {
+    if (path !== location.pathname) history.pushState(null, "", path);
+    void this.show();
+  }
+
+  async show(): Promise<void> {
+    const opening = ++this.opening;
+    const path = location.pathname;
+    const route = this.routes.find(({ matches }) => matches(path)) ?? this.routes[0];
+    if (!route) return;
+    this.page?.close();
+    this.page = null;
+    for (const link of document.querySelectorAll<HTMLElement>("nav [data-page]")) {
+      if (link.dataset.page === route.name) setAttribute(link, "aria-current", "page");
+      else link.removeAttribute("aria-current");
+    }
+    document.title = `${route.title} · Graspwatch`;
+    this.box.replaceChildren();
+    this.box.scrollTop = 0;
+    scrollTo(0, 0);
+    const build = await route.load();
+    if (opening !== this.opening) return; // somebody went on meanwhile
+    this.page = build(this.box, path);
+    this.onOpen();
+  }
+
+  private follow(event: MouseEvent): void {
+    const link = event.target instanceof Element ? event.target.closest("a") : null;
+    const plain = event.button === 0 && !event.ctrlKey && !event.metaKey && !event.shiftKey && !event.altKey;
+    if (!link || !plain || event.defaultPrevented || link.origin !== location.origin) return;
+    const stays = !link.target && !link.hasAttribute("download") && !link.pathname.startsWith("/api/");
+    if (!stays || link.pathname.startsWith("/docs")) return;
+    event.preventDefault();
+    this.go(link.pathname);
+  }
+}
