@@ -15,13 +15,14 @@ from rich.table import Table
 
 sys.path.insert(1, str(Path(__file__).parents[1]))  # the tests' own helpers
 
-from benchmarks import bank, headless, live
+from benchmarks import bank, headless, live, page
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--live-seconds", type=float, default=120.0, help="how long the live service is watched")
     parser.add_argument("--viewers", type=int, default=20, help="viewers connected meanwhile")
+    parser.add_argument("--page-minutes", type=float, default=10.0, help="how long the page's memory is watched")
     parser.add_argument("--output", type=Path, default=Path("bench.json"), help="where the figures are written")
     wanted = parser.parse_args()
     parts = {
@@ -31,6 +32,7 @@ def main() -> None:
         f"live, {wanted.viewers} viewers, {wanted.live_seconds:.0f} s": lambda: live.measure(
             wanted.live_seconds, wanted.viewers
         ),
+        f"page, {wanted.page_minutes:.3g} min": lambda: page.measure(wanted.page_minutes),
     }
     console, figures = Console(), []
     for title, measure in parts.items():

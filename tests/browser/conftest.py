@@ -3,6 +3,8 @@ import shutil
 
 import pytest
 from playwright.sync_api import sync_playwright
+from service import Service
+from watched import Watched
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 FLAGS += ["--disable-component-update", "--disable-sync"]
@@ -22,29 +24,26 @@ def browser():
         running.close()
 
 
-class Watched:
-    """A page together with what it complained about and what it fetched from elsewhere."""
-
-    def __init__(self, browser, url, width=1280, height=800):
-        self.page = browser.new_page(viewport={"width": width, "height": height})
-        self.complaints, self.requests = [], []
-        self.page.on("console", lambda m: self.complaints.append(m.text) if m.type in ("error", "warning") else None)
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(url)
-
-    def at(self, name):
-        return self.page.get_by_test_id(name)
-
-
 @pytest.fixture
 def watch(browser):
     opened = []
 
-    def open_page(url, **size):
-        opened.append(Watched(browser, url, **size))
+    def open_page(url, **options):
+        opened.append(Watched(browser, url, **options))
         return opened[-1]
 
     yield open_page
     for watched in opened:
-        watched.page.close()
+        watched.context.close()
+
+
+@pytest.fixture(scope="module")
+def running_service():
+    with Service("serve") as running:
+        yield running
+
+
+@pytest.fixture
+def service(running_service):
+    yield running_service
+    running_service.http.post("/api/stop")

@@ -1,102 +1,197 @@
-"""The dashboard in a real browser against the real service."""
+"""The live page in a real browser against the real service."""
 
 import os
 import signal
 
 import pytest
 from playwright.sync_api import expect
+from proxy import Line
 from service import Service
-from simulation import joined, simulate_raw, write_lvm
+from watched import PAGES, SIZES
 
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture(scope="module")
-def running_service():
-    with Service("serve") as running:
-        yield running
-
-
-@pytest.fixture
-def service(running_service):
-    yield running_service
-    running_service.http.post("/api/stop")
-
-
-def start(watched, protocol="trapezoid_025hz", cycles=3, tissue="bladder"):
-    watched.at("protocol").select_option(protocol)
-    watched.at("cycles").fill(str(cycles))
-    watched.at("tissue-select").select_option(tissue)
-    watched.at("start").click()
-    expect(watched.at("run-message")).to_contain_text("Started", timeout=5_000)
-
-
 def test_from_start_to_label(service, watch):
     viewer = watch(service.url)
-    start(viewer, cycles=2)
-    expect(viewer.at("tissue-label")).to_contain_text("Bladder", ignore_case=True, timeout=10_000)
-    expect(viewer.at("grasps")).to_contain_text("Bladder", ignore_case=True, timeout=10_000)
-    expect(viewer.at("tool-kind")).to_contain_text("simulated", ignore_case=True)
+    viewer.start(cycles=2)
+    expect(viewer.at("tissue-label")).to_have_text("Bladder", timeout=10_000)
+    expect(viewer.at("grasps")).to_contain_text("Bladder", timeout=10_000)
+    expect(viewer.at("tool-kind")).to_contain_text("SIMULATED")
+    expect(viewer.at("criteria")).to_contain_text("ms")
     assert viewer.complaints == []
     assert all(url.startswith((service.url, service.live_url)) for url in viewer.requests)
 
 
+def test_something_outside_the_library_is_unknown(service, watch):
+    viewer = watch(service.url)
+    viewer.start(protocol="trapezoid_2hz", tissue="fibrotic_liver")
+    expect(viewer.at("tissue-label")).to_have_text("Unknown", timeout=10_000)
+
+
 def test_two_viewers_see_the_same(service, watch):
     one, other = watch(service.url), watch(service.url)
-    start(one, tissue="gallbladder")
+    one.start(tissue="gallbladder", cycles=1)
     for viewer in (one, other):
-        expect(viewer.at("tissue-label")).to_contain_text("Gallbladder", ignore_case=True, timeout=10_000)
+        expect(viewer.at("tissue-label")).to_have_text("Gallbladder", timeout=10_000)
+    for viewer in (one, other):
+        expect(viewer.at("grasps")).to_contain_text("Gallbladder", timeout=10_000)
+    assert one.at("grasps").inner_text() == other.at("grasps").inner_text()
 
 
 @pytest.mark.parametrize("by", ["button", "key"])
-def test_stop_works_at_once_on_all_pages(service, watch, by):
-    one, other = watch(service.url), watch(service.url)
-    start(one, cycles=20)
-    expect(other.page.locator("#run-now")).to_contain_text("Running", timeout=5_000)
+@pytest.mark.parametrize("page", PAGES)
+def test_stop_works_at_once_from_every_page(service, watch, page, by):
+    one, other = watch(service.url), watch(service.url + PAGES[page])
+    one.start(cycles=20)
+    expect(other.page.locator("main h2").first).to_be_visible()
     if by == "button":
         other.at("stop").click()
     else:
         other.page.keyboard.press("Escape")
-    for viewer in (one, other):
-        expect(viewer.page.locator("#run-now")).to_contain_text("stopped", timeout=1_000)
+    expect(one.at("run-now")).to_contain_text("stopped", timeout=1_000)
+    expect(other.at("stop-message")).to_contain_text("The motor is at zero", timeout=1_000)
     assert service.http.get("/api/runs").json()[-1]["state"] == "stopped"
+
+
+def test_stop_by_key_works_while_a_list_or_a_dialog_is_open(service, watch):
+    viewer = watch(service.url)
+    viewer.start(cycles=20)
+    viewer.at("protocol").click()
+    viewer.page.keyboard.press("Escape")
+    expect(viewer.at("run-now")).to_contain_text("stopped", timeout=1_000)
+    viewer.start(cycles=20)
+    viewer.page.keyboard.press("?")
+    expect(viewer.page.get_by_role("dialog")).to_contain_text("STOP")
+    viewer.page.keyboard.press("Escape")
+    expect(viewer.at("run-now")).to_contain_text("stopped", timeout=1_000)
 
 
 def test_a_refused_start_says_why(service, watch):
     viewer = watch(service.url)
-    expect(viewer.at("protocol").locator("option")).not_to_have_count(0)  # the page has learned what there is
+    expect(viewer.at("protocol").locator("option")).not_to_have_count(0)
     service.run(protocol="trapezoid_025hz", cycles=20)
-    viewer.at("start").evaluate("button => { button.disabled = false; button.click(); }")
+    viewer.at("start").click()
     expect(viewer.at("run-message")).to_contain_text("under way", timeout=3_000)
+
+
+def test_who_started_holds_control_and_everybody_sees_it(service, watch):
+    one, other = watch(service.url), watch(service.url)
+    one.at("person").click()
+    one.at("person-name").fill("Ada")
+    one.page.keyboard.press("Enter")
+    expect(one.at("person")).to_contain_text("Ada")
+    one.start(cycles=20)
+    expect(other.at("run-now")).to_contain_text("Control: Ada", timeout=3_000)
+
+
+def test_by_keyboard_alone(service, watch):
+    viewer = watch(service.url)
+    expect(viewer.at("protocol").locator("option")).not_to_have_count(0)
+    for _ in range(60):
+        viewer.page.keyboard.press("Tab")
+        if viewer.page.evaluate("document.activeElement.id") == "cycles":
+            break
+    viewer.page.keyboard.press("Control+a")
+    viewer.page.keyboard.type("1")
+    viewer.page.keyboard.press("Enter")
+    expect(viewer.at("run-message")).to_contain_text("1 grasp", timeout=5_000)
+    viewer.page.keyboard.press("Tab")
+    viewer.page.keyboard.press("Tab")  # out of the fields, where a digit is only a digit
+    viewer.page.keyboard.press("3")
+    expect(viewer.at("tissues-table")).to_be_visible()
+    viewer.page.keyboard.press("1")
+    expect(viewer.at("tissue-label")).to_be_visible()
+    viewer.page.keyboard.press("t")
+    expect(viewer.page.locator("html")).to_have_attribute("data-theme", "light")
+    viewer.page.keyboard.press("Escape")
+    expect(viewer.at("stop-message")).to_contain_text("The motor is at zero")
+
+
+def test_charts_pause_look_back_zoom_and_hide(service, watch):
+    viewer = watch(service.url)
+    charts = viewer.page.locator("#charts")
+    expect(charts).to_have_attribute("data-empty", "false", timeout=5_000)
+    viewer.page.wait_for_timeout(1_000)
+    plot = viewer.page.locator("#chart-force .u-over")
+    box = plot.bounding_box()
+    viewer.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20)
+    viewer.page.mouse.down()
+    viewer.page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 20, steps=4)
+    viewer.page.mouse.up()
+    expect(charts).to_have_attribute("data-paused", "true")
+    expect(viewer.page.locator("#scrub-text")).to_contain_text("3.0", timeout=1_000)  # 30 % of ten seconds
+    before = viewer.at("scrub").input_value()
+    viewer.page.keyboard.press("ArrowLeft")
+    expect(viewer.at("scrub")).not_to_have_value(before)
+    viewer.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20)
+    for name in ("force", "displacement", "probability", "parameter"):
+        expect(viewer.page.locator(f"#readout-{name}")).to_contain_text(" s:")
+    viewer.at("zoom-reset").click()
+    expect(charts).to_have_attribute("data-paused", "false")
+    liver = viewer.page.get_by_role("group", name="Lines shown").get_by_role("button", name="Liver")
+    liver.click()
+    expect(liver).to_have_attribute("aria-pressed", "false")
 
 
 def test_a_frozen_service_is_shown_as_stale_by_the_pages_own_clock(watch):
     with Service("serve") as running:
         viewer = watch(running.url)
-        expect(viewer.at("stale-banner")).to_be_hidden(timeout=5_000)
+        expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live", timeout=5_000)
         os.kill(running.process.pid, signal.SIGSTOP)
         try:
             expect(viewer.at("stale-banner")).to_be_visible(timeout=1_600)
-            expect(viewer.at("stale-banner")).to_contain_text("no data", ignore_case=True)
+            expect(viewer.at("stale-banner")).to_contain_text("No data since")
+            expect(viewer.at("alarm-text")).to_contain_text("No data")
         finally:
             os.kill(running.process.pid, signal.SIGCONT)
         expect(viewer.at("stale-banner")).to_be_hidden(timeout=5_000)
 
 
-def test_a_recording_is_marked_as_replay(watch, tmp_path):
-    path = write_lvm(tmp_path / "grasp.lvm", joined(simulate_raw("gallbladder", "trapezoid_025hz", cycles=4)))
-    with Service("replay", str(path), "--serve") as running:
-        viewer = watch(running.url)
-        expect(viewer.at("tool-kind")).to_contain_text("replay", ignore_case=True, timeout=5_000)
-        expect(viewer.at("grasps")).to_contain_text("%", timeout=15_000)
+@pytest.mark.parametrize("page", ["live", "tissues"])
+def test_a_cut_connection_is_told_within_a_second_and_afterwards_how_long_it_was_blind(service, watch, page):
+    with Line(service.port) as line:
+        viewer = watch(line.url + PAGES[page])
+        expect(viewer.page.locator("#status-rate")).to_contain_text("Hz", timeout=5_000)
+        viewer.page.evaluate("""() => {
+            const banner = document.getElementById("stale-banner");
+            new MutationObserver(() => { if (!banner.hidden) window.toldAt ??= Date.now(); })
+                .observe(banner, { attributes: true });
+        }""")
+        viewer.page.wait_for_timeout(500)
+        cut_ms = viewer.page.evaluate("Date.now()")
+        line.cut()
+        expect(viewer.at("stale-banner")).to_contain_text("No connection", timeout=3_000)
+        assert viewer.page.evaluate("window.toldAt") - cut_ms < 1_250  # data count as lost from 1 s on
+        expect(viewer.at("alarm-text")).to_contain_text("No connection")
+        line.mend()
+        expect(viewer.at("notice")).to_contain_text("saw nothing for", timeout=10_000)
+        expect(viewer.at("stale-banner")).to_be_hidden()
+        expect(viewer.at("alarm-text")).to_have_text("No alarms")
 
 
-@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1280, 800), (800, 1280), (390, 844)])
-def test_fits_every_screen(service, watch, width, height):
+def test_a_stop_that_cannot_be_sent_says_so_and_stays(service, watch):
+    with Line(service.port) as line:
+        viewer = watch(line.url)
+        expect(viewer.page.locator("#status-rate")).to_contain_text("Hz", timeout=5_000)
+        line.cut()
+        viewer.page.keyboard.press("Escape")
+        expect(viewer.at("stop-message")).to_contain_text("use the hardware switch", timeout=3_000)
+        expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "high")
+        line.mend()
+        viewer.page.keyboard.press("Escape")
+        expect(viewer.at("stop-message")).to_contain_text("The motor is at zero", timeout=5_000)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_what_counts_is_in_sight_on_every_screen(service, watch, width, height):
     viewer = watch(service.url, width=width, height=height)
     expect(viewer.at("tissue-label")).to_be_visible(timeout=5_000)
-    overflow = viewer.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-    assert overflow <= 0
-    box = viewer.at("stop").bounding_box()
-    assert box["height"] >= 44
-    assert 0 <= box["y"] <= height - box["height"]
+    for name in ("tissue-label", "alarm-bar", "stop"):
+        box = viewer.at(name).bounding_box()
+        assert 0 <= box["y"] <= height - box["height"], name
+    assert viewer.at("stop").bounding_box()["height"] >= 44
+    if width >= 1100:
+        for name in ("force-now", "gauge", "force-threshold"):
+            box = viewer.page.locator(f"#{name}").bounding_box()
+            assert box["y"] + box["height"] <= height, name

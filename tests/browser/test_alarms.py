@@ -1,0 +1,116 @@
+"""Alarms on the screen: raised, heard, acknowledged, latched; what the limiter does is said."""
+
+import os
+import re
+import signal
+
+import pytest
+from playwright.sync_api import expect
+from service import Service
+
+from config.load import CONFIG_DIR
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def sharp_service(tmp_path_factory):
+    """A service that takes 60 % of the injury threshold for too much, so that a usual grasp is."""
+    text = (CONFIG_DIR / "graspwatch.toml").read_text()
+    for name, share in {"low": 0.4, "medium": 0.5, "high": 0.6}.items():
+        text, changed = re.subn(rf"(?m)^{name} = [0-9.]+", f"{name} = {share}", text)
+        assert changed == 1
+    config = tmp_path_factory.mktemp("config") / "sharp.toml"
+    config.write_text(text)
+    with Service("serve", "--config", str(config)) as running:
+        yield running
+
+
+@pytest.fixture
+def service(sharp_service):
+    yield sharp_service
+    sharp_service.http.post("/api/stop")
+    for alarm in sharp_service.http.get("/api/alarms").json():
+        sharp_service.http.post(f"/api/alarms/{alarm['id']}/acknowledge", json={"by": "the next test"})
+
+
+def test_a_peak_over_the_limit_stays_until_somebody_acknowledges_it_on_all_pages(service, watch):
+    one, other = watch(service.url), watch(service.url + "/system")
+    service.finished(service.run(protocol="trapezoid_2hz", cycles=1, tissue="bladder")["id"])
+    for viewer in (one, other):
+        expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "high", timeout=5_000)
+        expect(viewer.at("alarm-bar")).to_contain_text("over by now: acknowledge it")
+    one.at("acknowledge").click()
+    one.at("person-name").fill("Ada")
+    one.page.keyboard.press("Enter")
+    for viewer in (one, other):
+        expect(viewer.at("alarm-text")).to_have_text("No alarms", timeout=1_000)
+    lines = service.http.get("/api/journal").json()
+    seen = next(line for line in lines if line["kind"] == "acknowledged")
+    assert (seen["by"], seen["priority"], seen["unit"]) == ("Ada", "high", "N")
+    assert any(line["kind"] == "alarm" and line["value"] > line["limit"] * 0.6 for line in lines)
+
+
+def test_acknowledged_while_it_lasts_it_stays_in_sight_with_the_name_of_who_did_it(service, watch):
+    viewer = watch(service.url)
+    run = service.run(protocol="trapezoid_025hz", cycles=1, tissue="gallbladder")  # holds for two seconds
+    expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "high", timeout=5_000)
+    alarm = next(a for a in service.http.get("/api/alarms").json() if a["kind"] == "force")
+    service.http.post(f"/api/alarms/{alarm['id']}/acknowledge", json={"by": "Grace"})
+    expect(viewer.at("alarm-bar")).to_contain_text("seen by Grace", timeout=1_000)
+    expect(viewer.at("alarm-bar")).to_have_attribute("data-quiet", "true")
+    expect(viewer.at("acknowledge")).to_be_hidden()
+    service.finished(run["id"])
+    expect(viewer.at("alarm-text")).to_have_text("No alarms", timeout=2_000)
+
+
+def test_an_alarm_is_on_the_screen_within_200_ms_of_its_sample(service, watch):
+    viewer = watch(service.url)
+    expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live", timeout=5_000)
+    viewer.page.evaluate("""() => {
+        window.shownAt = {};
+        const bar = document.getElementById("alarm-bar");
+        const note = () => requestAnimationFrame(() => { window.shownAt[bar.dataset.priority] ??= Date.now(); });
+        new MutationObserver(note).observe(bar, { attributes: true, attributeFilter: ["data-priority"] });
+    }""")
+    service.run(protocol="trapezoid_2hz", cycles=1, tissue="bladder")
+    expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "high", timeout=5_000)
+    began_ms = service.http.get("/api/alarms").json()[0]["began_ms"]  # when the sample was taken that began it
+    viewer.page.wait_for_function("Object.keys(window.shownAt).some(priority => priority !== 'none')")
+    first_ms = viewer.page.evaluate(
+        "Math.min(...Object.entries(window.shownAt).filter(([p]) => p !== 'none').map(([, at]) => at))"
+    )
+    assert 0 <= first_ms - began_ms < 200
+
+
+def test_sound_is_a_persons_choice_speaks_for_an_alarm_and_can_be_paused(service, watch):
+    viewer = watch(service.url)
+    sound = viewer.at("sound")
+    expect(sound).to_have_attribute("data-state", "off")
+    sound.click()
+    expect(sound).to_have_attribute("data-state", "on")
+    service.run(protocol="trapezoid_2hz", cycles=1, tissue="bladder")
+    expect(sound).to_have_attribute("data-bursts", re.compile(r"[1-9]"), timeout=5_000)
+    viewer.page.keyboard.press("u")
+    expect(sound).to_have_text(re.compile(r"Sound paused [12]:\d\d"))
+    first = sound.inner_text()
+    expect(sound).not_to_have_text(first, timeout=2_000)  # it counts down
+    viewer.page.keyboard.press("u")
+    expect(sound).to_have_attribute("data-state", "on")
+
+
+def test_a_killed_worker_is_an_alarm_on_every_page(service, watch):
+    one, other = watch(service.url), watch(service.url + "/studies")
+    expect(one.page.locator("#watch")).to_have_attribute("data-freshness", "live", timeout=5_000)
+    os.kill(service.worker("acquisition"), signal.SIGKILL)
+    for viewer in (one, other):
+        expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "high", timeout=2_000)
+    for viewer in (one, other):
+        expect(viewer.at("alarm-text")).to_have_text("No alarms", timeout=10_000)
+
+
+def test_the_limiter_says_that_it_holds_the_motor_back(service, watch):
+    viewer = watch(service.url)
+    service.run(protocol="strong_2hz", cycles=1, tissue="bladder")
+    expect(viewer.at("holding")).to_contain_text("holding the motor back at 1.80", timeout=5_000)
+    expect(viewer.at("grasps")).to_contain_text("held back", timeout=5_000)

@@ -1,0 +1,151 @@
+"""All pages: fit every screen, meet axe's rules in both themes, come from this server alone."""
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
+from service import Service
+from simulation import joined, simulate_raw, write_lvm
+from watched import PAGES, SIZES
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def running_service():
+    with Service("serve") as running:
+        grasps = joined(simulate_raw("gallbladder", "trapezoid_2hz", cycles=3))
+        write_lvm(running.data / "recordings" / "gallbladder.lvm", grasps)
+        (running.data / "recordings" / "broken.lvm").write_text("LabVIEW Measurement\n")
+        running.finished(running.run(protocol="trapezoid_4hz", cycles=2, tissue="liver")["id"])
+        yield running
+
+
+EVERY_PAGE = {**PAGES, "replay": "/recordings/gallbladder.lvm"}
+
+
+def opened(watch, service, page, **options):
+    """The page once it has its data."""
+    viewer = watch(service.url + EVERY_PAGE[page], **options)
+    expect(viewer.page.locator("main h2").first).to_be_visible()
+    if page == "replay":
+        expect(viewer.at("replay-play")).to_be_enabled(timeout=30_000)
+    viewer.page.wait_for_timeout(700)
+    return viewer
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("page", EVERY_PAGE)
+def test_no_violation_of_axe(service, watch, page, theme):
+    viewer = opened(watch, service, page, theme=theme)
+    results = Axe().run(viewer.page)
+    assert results.violations_count == 0, results.generate_report()
+
+
+@pytest.mark.parametrize("page", EVERY_PAGE)
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_no_horizontal_scroll(service, watch, page, width, height):
+    viewer = opened(watch, service, page, width=width, height=height)
+    assert viewer.overflow() <= 0
+
+
+@pytest.mark.parametrize("page", EVERY_PAGE)
+def test_targets_are_large_enough_for_a_gloved_hand(service, watch, page):
+    viewer = opened(watch, service, page)
+    small = viewer.page.evaluate("""() => [...document.querySelectorAll("button, select, input, summary, nav a")]
+        .filter((each) => each.checkVisibility() && !each.closest(".lines"))
+        .map((each) => [each.id || each.textContent, each.getBoundingClientRect()])
+        .filter(([, box]) => box.height < 43.5 || box.width < 43.5)
+        .map(([name, box]) => `${name}: ${box.width} x ${box.height}`)""")
+    assert small == []
+
+
+def test_nothing_comes_from_elsewhere_and_nothing_is_complained_about(service, watch):
+    viewer = watch(service.url)
+    for name in PAGES:
+        viewer.page.locator(f"nav [data-page={name}]").click()
+        expect(viewer.page.locator(f"nav [data-page={name}]")).to_have_attribute("aria-current", "page")
+        expect(viewer.page.locator("main h2").first).to_be_visible()
+        viewer.page.wait_for_timeout(300)
+    viewer.page.goto(service.url + EVERY_PAGE["replay"])
+    expect(viewer.at("replay-play")).to_be_enabled(timeout=30_000)
+    assert viewer.complaints == []
+    assert all(url.startswith((service.url, service.url.replace("http", "ws"))) for url in viewer.requests)
+
+
+def test_the_first_visit_explains_the_page_once(service, watch):
+    viewer = watch(service.url)
+    hints = viewer.page.locator(".hint:visible")
+    expect(hints.first).to_be_visible()
+    shown = hints.count()
+    hints.first.get_by_role("button").click()
+    expect(hints).to_have_count(shown - 1)
+    viewer.page.reload()
+    expect(viewer.page.locator("#tissue-label")).to_be_visible()
+    expect(hints).to_have_count(shown - 1)
+    viewer.page.keyboard.press("?")
+    viewer.page.get_by_role("button", name="Explain the page again").click()
+    expect(hints).to_have_count(shown)
+
+
+def test_recordings_are_listed_found_and_opened(service, watch):
+    viewer = watch(service.url + "/recordings")
+    expect(viewer.at("recordings")).to_contain_text("gallbladder.lvm")
+    expect(viewer.at("recordings")).to_contain_text("broken.lvm")
+    expect(viewer.at("recordings")).to_contain_text("expected", timeout=20_000)  # why the broken one cannot be read
+    viewer.page.keyboard.press("/")
+    viewer.page.keyboard.type("gall")
+    expect(viewer.at("recordings")).not_to_contain_text("broken.lvm")
+    viewer.at("recording-link").first.click()
+    expect(viewer.at("replay-bar")).to_be_visible()
+
+
+def test_a_replay_plays_pauses_seeks_and_is_marked_as_one(service, watch):
+    viewer = watch(service.url + EVERY_PAGE["replay"])
+    play, position = viewer.at("replay-play"), viewer.at("replay-position")
+    expect(viewer.at("replay-bar")).to_contain_text("REPLAY")
+    expect(play).to_be_enabled(timeout=30_000)
+    if play.inner_text() == "Play":
+        play.click()
+    expect(viewer.at("tissue-label")).to_have_text("Gallbladder", timeout=10_000)
+    expect(viewer.at("tool-kind")).to_contain_text("SIMULATED")  # the live tool stays in sight
+    viewer.page.keyboard.press(" ")
+    expect(play).to_have_text("Play")
+    at = float(position.input_value())
+    viewer.page.wait_for_timeout(500)
+    assert float(position.input_value()) == at
+    viewer.page.keyboard.press("]")
+    expect(position).not_to_have_value(f"{at:.2f}")
+    viewer.at("replay-speed").select_option("10")
+    viewer.page.keyboard.press(" ")
+    expect(play).to_have_text("Play", timeout=10_000)  # at its end
+    expect(viewer.at("grasps").locator("tbody tr")).to_have_count(3)
+    assert viewer.complaints == []
+
+
+def test_a_broken_recording_says_why_it_cannot_be_shown(service, watch):
+    viewer = watch(service.url + "/recordings/broken.lvm")
+    expect(viewer.at("replay-bar")).to_contain_text("cannot be shown", timeout=20_000)
+    expect(viewer.at("replay-bar")).to_contain_text("broken.lvm")
+
+
+def test_the_tissue_library_tells_every_profile(service, watch):
+    viewer = watch(service.url + "/tissues")
+    for name in ("Liver", "Small bowel", "Bladder", "Gallbladder"):
+        expect(viewer.at("tissues-table")).to_contain_text(name)
+
+
+def test_the_system_page_tells_versions_calibration_and_what_happened(service, watch):
+    viewer = watch(service.url + "/system")
+    expect(viewer.at("system-versions")).to_contain_text("nidaqmx")
+    expect(viewer.at("calibration")).to_contain_text("2026-11-22")
+    expect(viewer.at("journal")).to_contain_text("Run finished")
+
+
+def test_a_study_is_started_watched_and_stopped(service, watch):
+    viewer = watch(service.url + "/studies")
+    form = viewer.at("study-form")
+    expect(form.locator("option")).not_to_have_count(0)
+    viewer.at("study-start").click()
+    expect(viewer.at("study-progress")).to_be_visible(timeout=10_000)
+    viewer.at("study-stop").click()
+    expect(viewer.at("studies-table")).to_contain_text("stopped", timeout=10_000)
