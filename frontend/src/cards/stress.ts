@@ -30,9 +30,10 @@ export class StressCard {
     if (nowMs - this.drawnAt < EVERY_MS && this.frame) return;
     this.drawnAt = nowMs;
     const { hello } = this.model;
-    if (!hello || this.canvas.clientWidth === 0) return;
+    if (!hello) return;
     this.follow();
     if (!this.frame) {
+      if (this.canvas.clientWidth === 0) return;
       this.frame = frameOf(this.canvas, hello.library, this.axis);
       drawReferences(this.background, this.frame, hello.library);
     }

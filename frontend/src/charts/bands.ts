@@ -1,12 +1,11 @@
 import type uPlot from "uplot";
-import { cssColour } from "../dom";
 import type { Buckets } from "./buckets";
 import type { Trace } from "./traces";
 
 const OPACITY = 0.2;
 
 /** Shades one standard deviation of the logarithm around each parameter, in the stretches that have a value. */
-export function drawBands(chart: uPlot, traces: Trace[], buckets: Buckets): void {
+export function drawBands(chart: uPlot, traces: Trace[], colours: string[], buckets: Buckets): void {
   if (traces.every(({ sdColumn }) => sdColumn < 0)) return;
   const { left, top, width, height } = chart.bbox;
   const context = chart.ctx;
@@ -17,7 +16,7 @@ export function drawBands(chart: uPlot, traces: Trace[], buckets: Buckets): void
   context.globalAlpha = OPACITY;
   traces.forEach((trace, i) => {
     if (trace.sdColumn < 0 || !chart.series[i + 1]?.show) return;
-    context.fillStyle = cssColour(trace.colour);
+    context.fillStyle = colours[i] ?? "";
     for (const stretch of stretches(chart, trace, buckets)) {
       context.beginPath();
       for (const { x, high } of stretch) context.lineTo(x, high);

@@ -6,6 +6,7 @@ import type { Model } from "../live/model";
 import type { SampleRing } from "../live/ring";
 import { Buckets } from "./buckets";
 import { Legend } from "./legend";
+import { Pace } from "./pace";
 import { verticalScale } from "./scales";
 import { Strip } from "./strip";
 import { plotSpecs, type Parameter, type PlotSpec } from "./traces";
@@ -32,6 +33,7 @@ export class ChartStack {
   private readonly legend = new Legend(byId("legend"), (key, visible) =>
     this.strips.forEach((strip) => strip.show(key, visible)),
   );
+  private readonly pace = new Pace();
   private readonly scrub = byId<HTMLInputElement>("scrub-position");
 
   constructor(private readonly model: Model) {
@@ -51,13 +53,18 @@ export class ChartStack {
     if (this.builtFor?.ring !== ring || this.builtFor.channels !== hello.channels) this.rebuild();
     const { view, buckets } = this;
     if (!view || !buckets || ring.isEmpty) return;
+    const began = performance.now();
     const state = `${view.endTick} ${view.spanTicks} ${ring.generation}`;
     if (state === this.drawn) return;
     this.drawn = state;
     buckets.update(view.endTick);
     const toS = view.endTick / view.rateHz;
     const shown = { fromS: toS - view.spanTicks / view.rateHz, toS, nowS: view.nowTick / view.rateHz };
-    for (const strip of this.strips) strip.draw(buckets, shown);
+    this.strips.forEach((strip, i) => {
+      if (view.paused || this.pace.draws(i)) strip.draw(buckets, shown);
+    });
+    this.pace.next();
+    if (!view.paused) this.pace.measure(began);
     this.renderControls(view);
   }
 

@@ -103,6 +103,7 @@ export class Strip {
   private plotOptions(): uPlot.Options {
     const { spec, scale, showTime, hidden, onCursor } = this.options;
     const marks = spec.traces.map(markColours);
+    const colours = spec.traces.map(({ colour }) => cssColour(colour)); // asking at each picture would cost a layout
     const line = 1 / devicePixelRatio; // lines of two device pixels cost three times as much
     return {
       ...this.size(),
@@ -113,8 +114,8 @@ export class Strip {
       axes: [this.timeAxis(showTime), valueAxis(scale)],
       series: [
         {},
-        ...spec.traces.map((trace) => ({
-          stroke: cssColour(trace.colour),
+        ...spec.traces.map((trace, i) => ({
+          stroke: colours[i] ?? "",
           width: line,
           dash: trace.dash,
           auto: trace.scaled,
@@ -123,7 +124,7 @@ export class Strip {
         })),
       ],
       hooks: {
-        drawAxes: [(chart) => this.buckets && drawBands(chart, spec.traces, this.buckets)],
+        drawAxes: [(chart) => this.buckets && drawBands(chart, spec.traces, colours, this.buckets)],
         draw: [(chart) => drawEndMarks(chart, spec.traces, marks)],
         setCursor: [onCursor],
         setSelect: [
