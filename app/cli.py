@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from app import __version__, studies
+from app import __version__
+from app.study import command as study
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
 from config.schema import Settings, Tool, ToolKind
@@ -28,7 +29,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 errors = Console(stderr=True, highlight=False)
-app.add_typer(studies.app, name="study")
+app.add_typer(study.app, name="study")
 
 LibraryOption = Annotated[
     str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")

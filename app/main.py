@@ -15,12 +15,12 @@ from starlette.middleware.base import RequestResponseEndpoint
 
 from app import __version__, problems
 from app.demo import demonstrate
-from app.films import Films
 from app.plan import ServicePlan
-from app.recordings import Shelf
+from app.replay.films import Films
+from app.replay.shelf import Shelf
 from app.routes import alarms, catalogue, live, recordings, runs, studies, system
 from app.station import Station
-from app.study_runs import StudyDesk
+from app.study.desk import StudyDesk
 from config.errors import ServiceError
 
 STATIC = Path(__file__).parent / "static"

@@ -5,11 +5,11 @@ from http import HTTPStatus
 from fastapi import APIRouter, Request, WebSocket
 from fastapi.responses import FileResponse
 
-from app.films import Films
 from app.live import Viewer
 from app.problems import PROBLEM, ProblemError
-from app.recordings import Shelf
-from app.replay import Replay, refuse
+from app.replay.films import Films
+from app.replay.player import Replay, refuse
+from app.replay.shelf import Shelf
 from app.station import Station
 from app.wire import Recordings
 from config.errors import GraspwatchError, RefusedError

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Body, Request
 from fastapi.responses import FileResponse
 
 from app.problems import PROBLEM, ProblemError
-from app.study_runs import StudyDesk
+from app.study.desk import StudyDesk
 from app.wire import StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import choose

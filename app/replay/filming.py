@@ -12,9 +12,9 @@ from pydantic import BaseModel
 from acquisition.blocks import SampleBlock
 from acquisition.pipeline import Pipeline
 from app.alarms import AlarmBook
-from app.film import COLUMNS, INDEX, TOLD, Kind
 from app.frames import channels, columns_of
-from app.recordings import open_recording
+from app.replay.film import COLUMNS, INDEX, TOLD, Kind
+from app.replay.shelf import open_recording
 from app.teller import Teller
 from app.wire import Alarm, Grasp, GraspEnded, Identification, Priority
 from config.errors import ServiceError

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.aside import run_aside
-from app.film import Film
-from app.filming import make_film
 from app.plan import ServicePlan
+from app.replay.film import Film
+from app.replay.filming import make_film
 from config.errors import RecordingError
 
 FILMS_KEPT = 4

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from simulation import cut, joined, lvm_text, simulate_raw
 
 from acquisition.recording import read_lvm
-from app import filming
-from app.film import Film
-from app.filming import make_film
 from app.frames import channels
 from app.headless import replay_recording
-from app.playhead import Playhead
+from app.replay import filming
+from app.replay.film import Film
+from app.replay.filming import make_film
+from app.replay.playhead import Playhead
 from app.wire import ReplayControl
 from config.errors import RecordingError, ServiceError
 from config.load import load_library, load_settings, load_tool

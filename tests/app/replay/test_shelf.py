@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from simulation import joined, simulate_raw, write_lvm
 
-from app import films
 from app.aside import run_aside
-from app.films import Films
 from app.plan import ServicePlan
-from app.recordings import Shelf
+from app.replay import films
+from app.replay.films import Films
+from app.replay.shelf import Shelf
 from app.wire import RecordingInfo
 from config.errors import RecordingError, RefusedError, ServiceError
 from config.load import load_library, load_settings, load_tool

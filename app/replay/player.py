@@ -8,12 +8,12 @@ from fastapi import WebSocket
 from pydantic import BaseModel
 
 from app.describe import hello
-from app.film import Film
-from app.films import Showing
 from app.frames import pack
 from app.live import Viewer
 from app.plan import ServicePlan
-from app.playhead import Playhead
+from app.replay.film import Film
+from app.replay.films import Showing
+from app.replay.playhead import Playhead
 from app.wire import EventMessage, FrameKind, Phase, ReplayControl, ReplayState, State
 from config.errors import GraspwatchError
 

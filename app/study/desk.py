@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
-from app.study_process import Job, StudyProcess
+from app.study.process import Job, StudyProcess
 from app.wire import StudyRun, StudyState
 from config.errors import RefusedError, ServiceError
 from estimator.studies.catalogue import StudyEntry

@@ -1,0 +1,1 @@
+"""Studies of the estimator: from the command line, and from the dashboard."""
