@@ -1,77 +1,103 @@
-"""Long work in a process of its own, niced, so that neither the event loop nor a live tool is disturbed by it."""
+"""Long work in a process of its own: it gives way to a live tool, and ends with all its children when it is told to and
+when the service ends, however that ends."""
 
 import asyncio
+import contextlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from types import FrameType
 from typing import Any
 
 from acquisition.process import become_worker
 from config.errors import GraspwatchError, ServiceError
 
-NICE = 10
-CLOSED = None  # a process's last word: all is done
+NICENESS = 10
+DONE = None  # a process's last word
+
+Tell = Callable[[Any], None]
 
 
-async def run_aside(
-    name: str, work: Callable[..., Iterable[Any]], *arguments: Any, told: Callable[[Any], None]
-) -> None:
-    """Run the generator `work(*arguments)` in a process called `name`; hand what it yields to `told` as it comes.
+async def run_aside(name: str, work: Callable[..., None], *arguments: Any, told: Tell, advice: str) -> None:
+    """Run `work(tell, *arguments)` in a process called `name`; hand what it tells to `told` as it comes.
 
-    Cancelling ends the process.
+    Cancelling ends the process and its children at once; nothing they hold needs an orderly end.
 
     Raises:
         GraspwatchError: the same that `work` raised.
-        ServiceError: the process failed or died.
+        ServiceError: the process failed or died; the text closes with `advice`.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
-    asked = name, os.getpid(), theirs, work, arguments
-    process = context.Process(target=_main, args=asked, name=f"graspwatch-{name}")
-    process.start()
-    theirs.close()
+    process = context.Process(
+        target=_main, args=(name, os.getpid(), theirs, work, arguments), name=f"graspwatch-{name}"
+    )
+    with theirs:
+        process.start()
     loop, arrived = asyncio.get_running_loop(), asyncio.Event()
-    loop.add_reader(ours.fileno(), arrived.set)
+    for source in (ours.fileno(), process.sentinel):
+        loop.add_reader(source, arrived.set)
     try:
-        while (report := await _next(ours, arrived)) is not CLOSED:
+        while (report := await _next(ours, process, arrived)) is not DONE:
             if isinstance(report, GraspwatchError):
                 raise report
             told(report)
     except EOFError:
-        await asyncio.to_thread(process.join)
-        code = process.exitcode
+        code = process.exitcode or 0
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        raise ServiceError(f"The process {name!r} died ({how}). Is there enough memory and disk? Try again.") from None
+        raise ServiceError(
+            f"The process {name!r} died ({how}); the machine may have run out of memory. {advice}"
+        ) from None
     finally:
-        loop.remove_reader(ours.fileno())
+        for source in (ours.fileno(), process.sentinel):
+            loop.remove_reader(source)
         ours.close()
-        process.kill()
+        process.kill()  # it may not have become a group yet: then it has no children either
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)  # also children that outlived it
         await asyncio.to_thread(process.join)
 
 
-async def _next(pipe: Connection, arrived: asyncio.Event) -> Any:
+async def _next(pipe: Connection, process: BaseProcess, arrived: asyncio.Event) -> Any:
+    """Raises EOFError once the process is dead; its children may keep the pipe open beyond that."""
     while not pipe.poll():
+        if not process.is_alive() and not pipe.poll():
+            raise EOFError
         arrived.clear()
         await arrived.wait()
     return pipe.recv()
 
 
-def _main(
-    name: str, parent_pid: int, pipe: Connection, work: Callable[..., Iterable[Any]], arguments: tuple[Any, ...]
-) -> None:
-    stop = become_worker(name, parent_pid)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # there is no motor here to be brought to zero first
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal tells the whole group; the service ends its own
-    if stop.set:
-        return
-    os.nice(NICE)
+# --- in the process -----------------------------------------------------------------------------------------------
+
+
+def _main(name: str, service_pid: int, pipe: Connection, work: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    _give_way(name, service_pid)
     try:
-        for report in work(*arguments):
-            pipe.send(report)
-        pipe.send(CLOSED)
+        work(pipe.send, *arguments)
+        pipe.send(DONE)
     except GraspwatchError as error:
         pipe.send(error)
     except OSError as error:
-        pipe.send(ServiceError(f"{error.strerror or error} ({error.filename or name})."))
+        pipe.send(ServiceError(f"{error.strerror or error} ({error.filename or name}). Make room or mend it."))
+
+
+def _give_way(name: str, service_pid: int) -> None:
+    """Low priority, and one group with all children to come, which ends when the service has ended.
+
+    A group and not a session: between sessions Linux may share the processor evenly, whatever their niceness
+    (autogroups, sched(7)). Of its own: a terminal's Ctrl+C is for the service, which ends this process itself.
+    """
+    os.setpgid(0, 0)
+    os.nice(NICENESS)
+    flag = become_worker(name, service_pid)
+    signal.signal(signal.SIGTERM, _end_group)
+    if flag.set:  # it was to end before the line above
+        _end_group()
+
+
+def _end_group(number: int = 0, frame: FrameType | None = None) -> None:
+    os.killpg(0, signal.SIGKILL)

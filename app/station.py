@@ -293,6 +293,12 @@ class Station:
                 told_s = time.monotonic()
                 self.tell_state()
 
+    def conditions(self) -> dict[str, str]:
+        """How each worker is; a service without a tool has none."""
+        if self.plan.opened:
+            return {}
+        return {name: worker.condition.value for name, worker in self.supervisor.workers.items()}
+
     @property
     def phase(self) -> Phase:
         if self.plan.opened:

@@ -1,7 +1,7 @@
 """Makes a recording's film: the same pipeline, estimation and words as of a live tool, written instead of sent."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
@@ -27,8 +27,10 @@ PROGRESS_STEP = 0.01
 ROOM_LEFT = 0.5  # of the free disk: a live tool's recordings need it more
 
 
-def make_film(path: Path, tool: Tool, library: TissueLibrary, settings: Settings, folder: Path) -> Iterator[float]:
-    """Estimate a recording and write its film into `folder`; yields the share done.
+def make_film(
+    tell: Callable[[float], None], path: Path, tool: Tool, library: TissueLibrary, settings: Settings, folder: Path
+) -> None:
+    """Estimate a recording and write its film into `folder`; tells the share done.
 
     Raises:
         RecordingError: it cannot be read; names file and line.
@@ -48,7 +50,7 @@ def make_film(path: Path, tool: Tool, library: TissueLibrary, settings: Settings
                 film.take(block, session.process(block))
             if film.rows >= (shown + PROGRESS_STEP) * recording.samples:
                 shown = film.rows / recording.samples
-                yield shown
+                tell(shown)
         film.end(session.finish())
     film.save_index(folder / INDEX)
 

@@ -15,6 +15,7 @@ from app.replay.film import Film
 from app.replay.filming import make_film
 from config.errors import RecordingError
 
+ADVICE = "Open it again."
 FILMS_KEPT = 4
 PREFIX = ".film-"
 LEFT_BEHIND_S = 3600.0  # no film takes as long: it is of a service that was killed
@@ -93,7 +94,7 @@ class Films:
         async with self._making:
             with tempfile.TemporaryDirectory(prefix=PREFIX, dir=plan.data) as folder:
                 asked = path, plan.recorded_with, plan.library, plan.settings, Path(folder)
-                await run_aside("film", make_film, *asked, told=prepared)
+                await run_aside("film", make_film, *asked, told=prepared, advice=ADVICE)
                 return Film.open(Path(folder))  # on the disk until nobody watches it: its files need no names
 
     async def aclose(self) -> None:

@@ -2,19 +2,19 @@
 
 import asyncio
 import stat
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from acquisition.recording import Recording
-from app.aside import run_aside
+from app.aside import Tell, run_aside
 from app.plan import ServicePlan
 from app.wire import RecordingInfo, Recordings
 from config.errors import GraspwatchError, RecordingError, RefusedError
 from config.schema import Tool
 
 ENDINGS = (".lvm", ".lvm.gz")
+ADVICE = "Ask for the list again."
 READ_AT_ONCE = 50  # files: then those come first that are new meanwhile
 
 
@@ -47,13 +47,13 @@ def open_recording(path: Path, tool: Tool) -> Recording:
         raise RecordingError(str(error).replace(str(path), path.name)) from None
 
 
-def read_all(files: list[_File], tool: Tool) -> Iterator[tuple[_File, _Content]]:
-    """Read files one after the other."""
+def read_all(tell: Tell, files: list[_File], tool: Tool) -> None:
+    """Read files one after the other; tells each with what was found."""
     for file in files:
         try:
-            yield file, _Content(open_recording(file.path, tool).duration_s, None)
+            tell((file, _Content(open_recording(file.path, tool).duration_s, None)))
         except RecordingError as error:
-            yield file, _Content(None, str(error))
+            tell((file, _Content(None, str(error))))
 
 
 class Shelf:
@@ -107,7 +107,7 @@ class Shelf:
             self._contents.update([read])
 
         try:
-            await run_aside("shelf", read_all, unread, self._plan.recorded_with, told=keep)
+            await run_aside("shelf", read_all, unread, self._plan.recorded_with, told=keep, advice=ADVICE)
         except GraspwatchError as error:  # it died of the first that it did not tell of; the others come next time
             broken = [file for file in unread if file not in self._contents]
             self._contents |= dict.fromkeys(broken[:1], _Content(None, str(error)))

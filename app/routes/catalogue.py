@@ -20,7 +20,7 @@ PREVIEW_POINTS = 200
 async def health(request: Request, response: Response) -> Health:
     """Ready once the filters are compiled and samples arrive."""
     station = request.app.state.station
-    workers = {name: worker.condition.value for name, worker in station.supervisor.workers.items()}
+    workers = station.conditions()
     phase = station.phase
     if phase is Phase.FAULTED:
         texts = station.alarms.technical_texts()

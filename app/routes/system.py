@@ -25,7 +25,7 @@ async def system(request: Request) -> System:
         | {package: version(package) for package in PACKAGES},
         machine=f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
         started_at=station.started_at,
-        workers={name: worker.condition.value for name, worker in station.supervisor.workers.items()},
+        workers=station.conditions(),
         data_folder=str(plan.data),
         free_disk_bytes=shutil.disk_usage(plan.data).free,
         tool=plan.tool.model_dump(mode="json"),

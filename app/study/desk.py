@@ -1,19 +1,23 @@
 """Studies that the service carries out, one at a time, and those that it and earlier services have carried out."""
 
+import asyncio
 import logging
 import os
 import shutil
+import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
-from app.study.process import Job, StudyProcess
+from app.aside import Tell, run_aside
 from app.wire import StudyRun, StudyState
 from config.errors import RefusedError, ServiceError
-from estimator.studies.catalogue import StudyEntry
+from estimator.studies.catalogue import STUDIES, StudyEntry
 
 RECORD = "study.json"
+SAYS_EVERY_S = 0.1
+ADVICE = "Start it again with fewer grasps."
 log = logging.getLogger("graspwatch")
 
 
@@ -25,7 +29,7 @@ class StudyDesk:
         self.folder = folder
         self._tell = tell
         self._runs = _read_records(folder)
-        self._process: StudyProcess | None = None
+        self._task: asyncio.Task[None] | None = None
         self._current_id: str | None = None
         self._asked_to_stop: tuple[str, str | None] | None = None  # why, by whom
 
@@ -52,7 +56,7 @@ class StudyDesk:
 
         Raises:
             RefusedError: one is under way.
-            ServiceError: the folder cannot be written, or the system has no room for a process.
+            ServiceError: the folder cannot be written.
         """
         if self._current_id:
             raise RefusedError(f"Study {self._current_id} is under way. Stop it first, or wait for its end.", "study")
@@ -63,15 +67,20 @@ class StudyDesk:
                 f"A study cannot be started in {self.folder} ({error.strerror}). Make room there, then start it again."
             ) from None
         self._runs[run.id], self._current_id, self._asked_to_stop = run, run.id, None
+        wanted = entry.name, grasps, seed, self.folder / run.id
+        work = run_aside("study", carry_out, *wanted, told=self._on_progress, advice=ADVICE)
+        self._task = asyncio.create_task(work)
+        self._task.add_done_callback(self._on_end)
         self._tell(f"Study started: {entry.name}, {grasps} of each, seed {seed}", by)
         return run
 
     async def stop(self, study_id: str, why: str, by: str | None = None) -> StudyRun:
         """End a study and all its processes; one that is over stays as it is."""
-        if study_id == self._current_id and self._process:
+        if study_id == self._current_id and self._task:
             self._asked_to_stop = why, by
-            self._process.kill()
-            await self._process.wait()
+            self._task.cancel()
+            await asyncio.wait([self._task])
+            await asyncio.sleep(0)  # for `_on_end`
         return self._runs[study_id]
 
     def _begin(self, entry: StudyEntry, grasps: int, seed: int, by: str | None) -> StudyRun:
@@ -83,8 +92,6 @@ class StudyDesk:
         )  # fmt: skip
         try:
             _write_record(self.folder, run)
-            job = Job(entry.name, grasps, seed, self.folder / study_id)
-            self._process = StudyProcess(job, self._on_progress, self._on_end)
         except OSError:
             shutil.rmtree(self.folder / study_id, ignore_errors=True)  # it never was
             raise
@@ -101,19 +108,20 @@ class StudyDesk:
                 number += 1
                 study_id = f"{name}-{number}"
 
-    def _on_progress(self, done: int, of: int) -> None:
+    def _on_progress(self, progress: tuple[int, int]) -> None:
+        done, of = progress
         self._change(done=done, of=of)
 
-    def _on_end(self, why: str | None) -> None:
-        by = None
-        if why is None:
-            state, report = StudyState.FINISHED, f"/api/studies/{self._current_id}/report"
-        elif self._asked_to_stop:
-            (why, by), state, report = self._asked_to_stop, StudyState.STOPPED, None
+    def _on_end(self, task: asyncio.Task[None]) -> None:
+        why, by, report = None, None, None
+        if task.cancelled():
+            (why, by), state = self._asked_to_stop or ("the service was ended", None), StudyState.STOPPED
+        elif error := task.exception():
+            why, state = str(error), StudyState.FAILED
         else:
-            state, report = StudyState.FAILED, None
+            state, report = StudyState.FINISHED, f"/api/studies/{self._current_id}/report"
         run = self._change(state=state, why=why, report=report, ended_at=datetime.now(UTC).isoformat())
-        self._process = self._current_id = None
+        self._task = self._current_id = None
         try:
             _write_record(self.folder, run)
         except OSError as error:
@@ -158,3 +166,32 @@ def _as_left(run: StudyRun) -> StudyRun:
         return run
     why = "The service died while it was under way. Start it again."
     return run.model_copy(update={"state": StudyState.FAILED, "why": why})
+
+
+# --- in the process -----------------------------------------------------------------------------------------------
+
+
+def carry_out(tell: Tell, study: str, grasps: int, seed: int, folder: Path) -> None:
+    """Carry out a study on all cores but one, and write its page and its JSON into `folder`; tells (done, of).
+
+    Raises:
+        GraspwatchError: it failed.
+        OSError: the folder cannot be written.
+    """
+    from estimator.studies.course import Bench  # takes a second
+
+    jobs = max((os.cpu_count() or 1) - 1, 1)
+    STUDIES[study].carry_out(Bench(), grasps, seed, _Progress(tell), jobs).write(folder)
+
+
+class _Progress:
+    """Tells the service, ten times a second at most, so that cases are not slowed down by it."""
+
+    def __init__(self, tell: Tell) -> None:
+        self._tell = tell
+        self._due_s = 0.0
+
+    def __call__(self, done: int, of: int) -> None:
+        if done in (0, of) or time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + SAYS_EVERY_S
+            self._tell((done, of))

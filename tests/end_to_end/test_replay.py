@@ -244,7 +244,7 @@ def test_a_run_goes_on_undisturbed_while_a_film_is_made(service):
     write_lvm(service.data / "recordings" / "long.lvm", joined(simulate_raw("liver", cycles=40)))
     with Listener(service) as live:
         run = service.run(protocol="trapezoid_2hz", cycles=3, tissue="bladder")
-        with watching(service, "long.lvm"):
+        with Listener(service, "/api/recordings/long.lvm/replay"):  # which begins to be made
             live.listen(lambda: len(live.of("grasp")) >= 3, 60.0)
     assert service.finished(run["id"])["state"] == "finished"
     labels = [grasp["label"] for grasp in service.http.get(f"/api/runs/{run['id']}/grasps").json()]

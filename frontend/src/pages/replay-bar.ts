@@ -79,7 +79,7 @@ export class ReplayBar {
 
   /** They were alarms then: shown here, without a sound and beside the tool's own. */
   private renderAlarms(): void {
-    const texts = [...this.model.alarms.values()].map(({ priority, text }) => `In the recording, ${priority}: ${text}`);
+    const texts = [...this.model.alarms.values()].filter(({ active }) => active).map(({ priority, text }) => `In the recording, ${priority}: ${text}`);
     const box = byId("replay-alarms");
     if (box.textContent !== texts.join("")) box.replaceChildren(...texts.map((text) => create("li", "", text)));
   }

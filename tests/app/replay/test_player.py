@@ -42,7 +42,8 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def film(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Film:
     folder = tmp_path_factory.mktemp("film")
-    shares = list(make_film(path, TOOL, LIBRARY, SETTINGS, folder))
+    shares: list[float] = []
+    make_film(shares.append, path, TOOL, LIBRARY, SETTINGS, folder)
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0, abs=0.03)
     film = Film.open(folder)
@@ -138,7 +139,7 @@ def test_a_broken_recording_names_its_line_and_not_the_servers_folders(tmp_path:
     broken = tmp_path / "broken.lvm"
     broken.write_text("\n".join([*path.read_text().splitlines()[:1000], "0.976000\t0.82"]))
     with pytest.raises(RecordingError, match=r"^broken\.lvm, line 1001: expected 6 columns, found 2"):
-        list(make_film(broken, TOOL, LIBRARY, SETTINGS, tmp_path))
+        make_film(print, broken, TOOL, LIBRARY, SETTINGS, tmp_path)
 
 
 def test_a_film_that_would_fill_the_disk_is_not_made(
@@ -146,7 +147,7 @@ def test_a_film_that_would_fill_the_disk_is_not_made(
 ) -> None:
     monkeypatch.setattr(filming, "ROOM_LEFT", 1.0)
     with pytest.raises(ServiceError, match="Make room"):
-        list(make_film(path, TOOL, LIBRARY, SETTINGS, tmp_path))
+        make_film(print, path, TOOL, LIBRARY, SETTINGS, tmp_path)
 
 
 # --- the head ---------------------------------------------------------------------------------------------------------

@@ -5,14 +5,14 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from simulation import joined, simulate_raw, write_lvm
 
-from app.aside import run_aside
+from app.aside import Tell, run_aside
 from app.plan import ServicePlan
 from app.replay import films
 from app.replay.films import Films
@@ -178,42 +178,41 @@ def test_what_a_killed_service_left_behind_is_removed(plan: ServicePlan) -> None
 # --- processes --------------------------------------------------------------------------------------------------------
 
 
-def say_who(count: int) -> Iterator[int]:
+def say_who(tell: Tell, count: int) -> None:
     for _ in range(count):
-        yield os.getpid()
+        tell(os.getpid())
 
 
-def say_how_nice() -> Iterator[int]:
-    yield os.getpriority(os.PRIO_PROCESS, 0)
+def say_how_nice(tell: Tell) -> None:
+    tell(os.getpriority(os.PRIO_PROCESS, 0))
 
 
-def fail() -> Iterator[None]:
-    yield 1
+def fail(tell: Tell) -> None:
+    tell(1)
     raise RecordingError("line 7 is at fault")
 
 
-def fill_the_disk() -> Iterator[None]:
+def fill_the_disk(tell: Tell) -> None:
     raise OSError(28, "No space left on device", "columns.npy")
-    yield
 
 
-def be_killed() -> Iterator[None]:
-    yield 1
+def be_killed(tell: Tell) -> None:
+    tell(1)
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def sleep() -> Iterator[int]:
-    yield os.getpid()
+def sleep(tell: Tell) -> None:
+    tell(os.getpid())
     time.sleep(60)
 
 
 def test_work_aside_is_done_in_another_process_that_gives_way_and_then_ends() -> None:
     said: list[int] = []
-    asyncio.run(run_aside("aside", say_who, 3, told=said.append))
+    asyncio.run(run_aside("aside", say_who, 3, told=said.append, advice="Try again."))
     assert len(said) == 3
     assert len({*said, os.getpid()}) == 2
     assert not os.path.exists(f"/proc/{said[0]}")
-    asyncio.run(run_aside("aside", say_how_nice, told=said.append))
+    asyncio.run(run_aside("aside", say_how_nice, told=said.append, advice="Try again."))
     assert said[-1] == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
 
 
@@ -226,16 +225,16 @@ def test_work_aside_is_done_in_another_process_that_gives_way_and_then_ends() ->
     ],
 )
 def test_what_goes_wrong_aside_is_one_clear_error(
-    work: Callable[[], Iterator[None]], error: type[Exception], text: str
+    work: Callable[[Tell], None], error: type[Exception], text: str
 ) -> None:
     with pytest.raises(error, match=text):
-        asyncio.run(run_aside("aside", work, told=lambda _: None))
+        asyncio.run(run_aside("aside", work, told=lambda _: None, advice="Try again."))
 
 
 def test_work_that_nobody_waits_for_any_more_is_ended() -> None:
     async def give_up() -> int:
         said: asyncio.Queue[int] = asyncio.Queue()
-        task = asyncio.create_task(run_aside("aside", sleep, told=said.put_nowait))
+        task = asyncio.create_task(run_aside("aside", sleep, told=said.put_nowait, advice="Try again."))
         pid = await said.get()
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
