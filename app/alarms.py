@@ -10,20 +10,22 @@ from app.wire import Alarm, AlarmKind, JournalKind, Priority
 from config.errors import RefusedError
 from estimator.alarms import ForceAlarm
 
-FORCE, LET_GO = "force", "let-go"
+FORCE = "force"
 RANK = {Priority.LOW: 1, Priority.MEDIUM: 2, Priority.HIGH: 3}
 SHARE_TEXT = {
     Priority.LOW: "Force near the injury threshold",
     Priority.MEDIUM: "Force close to the injury threshold",
-    Priority.HIGH: "Force over the injury threshold",
+    Priority.HIGH: "Force too close to the injury threshold",
 }
+OVER_TEXT = "Force over the injury threshold"
 
 
 class AlarmBook:
     """At most one alarm a key; its `id` stays the same until it is over.
 
-    A force over the limit latches: it stays, though its cause is gone, until somebody has acknowledged it. An
-    acknowledged alarm that becomes worse is a new one to people: the acknowledgement is taken back.
+    A force over the limit latches: it stays, though its cause is gone, until somebody has acknowledged it. So does what
+    is over when it is told: a grasp that was let go, a run that failed. An acknowledged alarm that becomes worse is a
+    new one to people: the acknowledgement is taken back.
     """
 
     def __init__(self, tell: Callable[[BaseModel], None], journal: Journal | None = None) -> None:
@@ -36,7 +38,8 @@ class AlarmBook:
         return list(self._alarms.values())
 
     def technical_texts(self) -> list[str]:
-        return [alarm.text for alarm in self._alarms.values() if alarm.kind is AlarmKind.TECHNICAL]
+        """Of those whose cause is there."""
+        return [alarm.text for alarm in self._alarms.values() if alarm.kind is AlarmKind.TECHNICAL and alarm.active]
 
     def raise_technical(self, key: str, priority: Priority, text: str, at_ms: float | None = None) -> None:
         self._raise(key, AlarmKind.TECHNICAL, priority, text, at_ms)
@@ -48,17 +51,20 @@ class AlarmBook:
             return
         priority = Priority(change.priority)
         whose = change.threshold_tissue.replace("_", " ") if change.threshold_tissue else "lowest of the library"
-        text = f"{SHARE_TEXT[priority]} ({whose})"
-        self._raise(FORCE, AlarmKind.FORCE, priority, text, at_ms, change.force_n, change.threshold_n)
+        words = OVER_TEXT if change.force_n >= change.threshold_n else SHARE_TEXT[priority]
+        self._raise(
+            FORCE, AlarmKind.FORCE, priority, f"{words} ({whose})", at_ms, change.force_n, change.threshold_n,
+            latches=priority is Priority.HIGH,
+        )  # fmt: skip
 
-    def let_go(self, text: str) -> None:
-        """A grasp was let go because its force passed the threshold: that stays until somebody has acknowledged it."""
-        self._raise(LET_GO, AlarmKind.FORCE, Priority.HIGH, text, None)
-        self.end(LET_GO)
+    def happened(self, key: str, kind: AlarmKind, text: str) -> None:
+        """Something is over when it is told, but somebody has to know of it: a high alarm that latches."""
+        self._raise(key, kind, Priority.HIGH, text, None, latches=True)
+        self.end(key)
 
     def _raise(
         self, key: str, kind: AlarmKind, priority: Priority, text: str, at_ms: float | None,
-        value: float | None = None, limit: float | None = None,
+        value: float | None = None, limit: float | None = None, *, latches: bool = False,
     ) -> None:  # fmt: skip
         before = self._alarms.get(key)
         if before and before.latched and RANK[priority] < RANK[before.priority]:
@@ -74,7 +80,7 @@ class AlarmBook:
             kind=kind,
             priority=priority,
             active=True,
-            latched=kind is AlarmKind.FORCE and priority is Priority.HIGH and (worse or before.latched),
+            latched=latches and (worse or before.latched),
             text=text,
             value=value,
             limit=limit,
@@ -85,7 +91,7 @@ class AlarmBook:
         )
         self._keep(key, alarm)
         if worse or text != before.text:
-            self._note(JournalKind.ALARM, alarm, f"{priority.value} alarm: {text}")
+            self._note(JournalKind.ALARM, alarm, f"{priority.value.capitalize()} alarm: {text}")
 
     def end(self, key: str, at_ms: float | None = None) -> None:
         """The cause is gone."""

@@ -28,7 +28,7 @@ from app.runs import RunBook
 from app.supervisor import Condition, Supervisor
 from app.teller import Teller
 from app.watchdog import SILENCE_S, Watchdog
-from app.wire import EventMessage, Grasp, GraspEnded, JournalKind, Phase, Priority, Run, RunState, State
+from app.wire import AlarmKind, EventMessage, Grasp, GraspEnded, JournalKind, Phase, Priority, Run, RunState, State
 from config.errors import ServiceError
 from config.load import holdable
 from config.schema import Protocol, ToolKind
@@ -128,7 +128,6 @@ class Station:
         if answer.refused:
             self.runs.forget(run.id)
             raise ServiceError(answer.refused)
-        self.alarms.end("run")
         self.simulated_tissue = tissue or self.simulated_tissue
         held = f", {holdable(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
         self.tell_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by)
@@ -238,7 +237,7 @@ class Station:
                 self._fault_texts[notice["worker"]] = notice["text"]
                 self.alarms.raise_technical(notice["worker"], Priority.HIGH, notice["text"])
             case "let_go":
-                self.alarms.let_go(notice["text"])
+                self.alarms.happened("let-go", AlarmKind.FORCE, notice["text"])
             case "run_ended":
                 self._end_run(notice["run_id"], RunState(notice["end"]), notice["why"])
         self.tell_state()
@@ -253,7 +252,8 @@ class Station:
             return
         self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN)
         if state is RunState.FAILED:
-            self.alarms.raise_technical("run", Priority.HIGH, f"The run was ended with the motor at zero: {why}")
+            text = f"The run was ended with the motor at zero: {why}"
+            self.alarms.happened("run", AlarmKind.TECHNICAL, text)
         if state is not RunState.FINISHED:
             self.demo = None
         self.tell_state()

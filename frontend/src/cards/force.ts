@@ -90,7 +90,7 @@ const onGauge = (share: number): number => (Number.isFinite(share) ? Math.min(1,
 function zoneInWords(zone: Zone, share: number): string {
   if (zone === "none") return "no value";
   const percent = wholePercent(Math.max(0, share));
-  return zone === "high" ? `OVER THE LIMIT: ${percent} of it` : `${percent} of the limit`;
+  return share >= 1 ? `OVER THE LIMIT: ${percent} of it` : `${percent} of the limit`;
 }
 
 function zoneOf(share: number, shares: number[]): Zone {

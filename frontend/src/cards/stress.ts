@@ -1,10 +1,14 @@
 import { byId, setAttribute } from "../dom";
 import type { Model } from "../live/model";
+import type { SampleRing } from "../live/ring";
+import type { TissueInfo } from "../wire";
 import { drawReferences, frameOf, type Axis, type Frame } from "./stress-plot";
 
 const EVERY_MS = 100;
 /** Points of the live curve are taken every few samples, and thinned by two once there are too many. */
 const FIRST_STEP_TICKS = 2;
+/** Over which a speed is taken: long enough for the encoder's steps. */
+const SPEED_TICKS = 8;
 const MOST_POINTS = 1500;
 
 /** The live curve of stress over compression on top of the library's tissues. */
@@ -68,17 +72,29 @@ export class StressCard {
       this.grasp = grasp;
       this.generation = ring.generation;
     }
-    const [force, compression] = [this.model.column("jaw_force_n"), this.model.column("tissue_displacement_m")];
+    const compression = this.model.column("tissue_displacement_m");
     let tick = Math.max(this.nextTick, ring.start);
     for (; tick < ring.end; tick += this.stepTicks) {
       const compressionM = ring.at(compression, tick);
-      if (Number.isFinite(compressionM)) this.points.push({ forceN: ring.at(force, tick), compressionM });
+      if (Number.isFinite(compressionM)) this.points.push({ forceN: this.elasticForce(ring, tick), compressionM });
     }
     this.nextTick = tick;
     if (this.points.length > MOST_POINTS) {
       this.points = this.points.filter((_, i) => i % 2 === 0);
       this.stepTicks *= 2;
     }
+  }
+
+  /** The force less that of the damping, N: the library's curves have none, and a fast grasp has much. */
+  private elasticForce(ring: SampleRing, tick: number): number {
+    const likeliest = this.likeliest();
+    const at = (channel: string, when: number): number => ring.at(this.model.column(channel), when);
+    const estimate = likeliest ? ring.at(this.model.column("damping_kg_per_s", likeliest.name), tick) : NaN;
+    const damping = Number.isFinite(estimate) ? estimate : (likeliest?.damping_kg_per_s ?? 0);
+    const rateHz = this.model.hello?.tool.sample_rate_hz ?? NaN;
+    const movedM = at("tissue_displacement_m", tick) - at("tissue_displacement_m", tick - SPEED_TICKS);
+    const speedMPerS = Number.isFinite(movedM) ? (movedM * rateHz) / SPEED_TICKS : 0;
+    return at("jaw_force_n", tick) - damping * speedMPerS;
   }
 
   private drawCurve(frame: Frame): void {
@@ -113,13 +129,16 @@ export class StressCard {
 
   /** Measured at contact where the tool can; else that of the tissue named, or of the likeliest. */
   private thickness(): number {
+    const { identification } = this.model;
+    return identification?.thickness_m ?? this.likeliest()?.thickness_m ?? NaN;
+  }
+
+  private likeliest(): TissueInfo | undefined {
     const { identification, tissues } = this.model;
-    if (identification?.thickness_m) return identification.thickness_m;
     const [likeliest] = Object.entries(identification?.probabilities ?? {})
       .filter(([name]) => tissues.some((tissue) => tissue.name === name))
       .sort(([, a], [, b]) => b - a);
-    const tissue = tissues.find(({ name }) => name === likeliest?.[0]) ?? tissues[0];
-    return tissue?.thickness_m ?? NaN;
+    return tissues.find(({ name }) => name === likeliest?.[0]) ?? tissues[0];
   }
 
   private buttons(): HTMLButtonElement[] {

@@ -1,5 +1,5 @@
 import { byId, setAttribute, setText } from "../dom";
-import { count, fixed } from "../format";
+import { fixed } from "../format";
 import type { ProtocolInfo } from "../wire";
 
 const WIDTH = 300;
@@ -21,5 +21,5 @@ export function drawWaveform(protocol: ProtocolInfo): void {
   svg.replaceChildren(line);
   const facts = `up to ${fixed(protocol.peak_command_v, 1, "V")}, ${fixed(protocol.cycle_s, 2, "s")} each`;
   setAttribute(svg, "aria-label", `Motor command over one cycle, ${facts}`);
-  setText(byId("waveform-facts"), `Motor command, ${facts}; ${count(protocol.cycles, "grasp")} unless told otherwise`);
+  setText(byId("waveform-facts"), `Motor command ${facts}`);
 }

@@ -22,11 +22,12 @@ export class StatusStrip {
     setText(byId("tool-title"), this.titleInWords());
     setHidden(byId("demo"), !state?.demo);
     setText(byId("demo"), state?.demo ? `Demonstration: ${state.demo}` : "");
-    setText(byId("status-rate"), fixed(state?.rate_hz, 0, "Hz"));
+    const live = this.model.connected && state !== null; // else the server's last word is no news any more
+    setText(byId("status-rate"), live ? fixed(state.rate_hz, 0, "Hz") : NO_VALUE);
     setText(byId("status-lost"), state ? String(state.lost_samples) : NO_VALUE);
     setData(byId("status-lost"), "warn", String((state?.lost_samples ?? 0) > 0));
-    setText(byId("status-estimator"), fixed(state?.estimator_latency_ms, 1, "ms"));
-    setText(byId("status-screen"), fixed(this.toScreenMs, 0, "ms"));
+    setText(byId("status-estimator"), live ? fixed(state.estimator_latency_ms, 1, "ms") : NO_VALUE);
+    setText(byId("status-screen"), live ? fixed(this.toScreenMs, 0, "ms") : NO_VALUE);
     const dropped = this.model.samplesMissed;
     setText(byId("status-dropped"), String(dropped));
     setData(byId("status-dropped"), "warn", String(dropped > 0));
