@@ -20,6 +20,7 @@ class Watchdog:
         self._tell_event = tell_event
         self._heard_s = {"acquisition": 0.0, "estimator": 0.0}
         self._from_s = 0.0
+        self._sampling_since_s = 0.0
         self.sampling = False
 
     def heard(self, worker: str) -> None:
@@ -35,15 +36,20 @@ class Watchdog:
         if now < self._from_s:
             return
         alive = {name: worker.condition is Condition.RUNNING for name, worker in self._supervisor.workers.items()}
-        silent_s = {name: now - heard_s for name, heard_s in self._heard_s.items()}
-        self.sampling = silent_s["acquisition"] < SILENCE_S
-        estimating = silent_s["estimator"] < SILENCE_S
+        before, self.sampling = self.sampling, now - self._heard_s["acquisition"] < SILENCE_S
+        if not before:
+            self._sampling_since_s = now  # until then the estimator had nothing to answer
+        silent_s = {
+            "acquisition": now - self._heard_s["acquisition"],
+            "estimator": now - max(self._heard_s["estimator"], self._sampling_since_s),
+        }
+        estimating = now - self._heard_s["estimator"] < SILENCE_S
         if self._heard_s["acquisition"] and not self.sampling:
             self._alarms.raise_technical("samples", Priority.HIGH, "No samples arrive from the tool")
         elif self.sampling and alive["acquisition"]:
             self._alarms.end("samples")
             self._alarms.end("acquisition")
-        if self._heard_s["estimator"] and self.sampling and not estimating:
+        if self._heard_s["estimator"] and self.sampling and silent_s["estimator"] >= SILENCE_S:
             self._alarms.raise_technical("estimates", Priority.MEDIUM, "No estimates arrive: the tissue is not watched")
         elif estimating and alive["estimator"]:
             self._alarms.end("estimates")

@@ -249,12 +249,14 @@ def test_the_demonstration_ends_when_somebody_stops_it():
 def test_a_hung_acquisition_is_ended_and_replaced():
     with Service("serve") as running, Listener(running) as listener:
         run = running.run(protocol="trapezoid_025hz", cycles=20)
+        estimator = running.worker("estimator")
         listener.listen(lambda: any(m["in_grasp"] for m in listener.of("identification")))
         os.kill(running.worker("acquisition"), signal.SIGSTOP)
         told_s = listener.listen(lambda: any("No samples" in a["text"] for a in listener.of("alarm")))
         assert told_s < 0.6
         assert running.finished(run["id"])["state"] == "failed"
         until(running.ready)
+        assert running.worker("estimator") == estimator  # which had nothing to answer meanwhile
 
 
 def test_ctrl_c_in_a_run_ends_everything_without_a_traceback():
