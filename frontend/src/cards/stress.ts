@@ -9,7 +9,7 @@ const EVERY_MS = 100;
 const FIRST_STEP_TICKS = 2;
 /** Over which a speed is taken: long enough for the encoder's steps. */
 const SPEED_TICKS = 8;
-const MOST_POINTS = 1500;
+const MOST_POINTS = 600;
 
 /** The live curve of stress over compression on top of the library's tissues. */
 export class StressCard {
@@ -72,11 +72,19 @@ export class StressCard {
       this.grasp = grasp;
       this.generation = ring.generation;
     }
-    const compression = this.model.column("tissue_displacement_m");
+    const likeliest = this.likeliest();
+    const columns = {
+      force: this.model.column("jaw_force_n"),
+      compression: this.model.column("tissue_displacement_m"),
+      damping: likeliest ? this.model.column("damping_kg_per_s", likeliest.name) : -1,
+    };
     let tick = Math.max(this.nextTick, ring.start);
-    for (; tick < ring.end; tick += this.stepTicks) {
-      const compressionM = ring.at(compression, tick);
-      if (Number.isFinite(compressionM)) this.points.push({ forceN: this.elasticForce(ring, tick), compressionM });
+    for (; tick < ring.end - SPEED_TICKS / 2; tick += this.stepTicks) {
+      const compressionM = ring.at(columns.compression, tick);
+      if (!Number.isFinite(compressionM)) continue;
+      const estimate = ring.at(columns.damping, tick);
+      const damping = Number.isFinite(estimate) ? estimate : (likeliest?.damping_kg_per_s ?? 0);
+      this.points.push({ forceN: ring.at(columns.force, tick) - damping * this.speed(ring, columns.compression, tick), compressionM });
     }
     this.nextTick = tick;
     if (this.points.length > MOST_POINTS) {
@@ -85,16 +93,10 @@ export class StressCard {
     }
   }
 
-  /** The force less that of the damping, N: the library's curves have none, and a fast grasp has much. */
-  private elasticForce(ring: SampleRing, tick: number): number {
-    const likeliest = this.likeliest();
-    const at = (channel: string, when: number): number => ring.at(this.model.column(channel), when);
-    const estimate = likeliest ? ring.at(this.model.column("damping_kg_per_s", likeliest.name), tick) : NaN;
-    const damping = Number.isFinite(estimate) ? estimate : (likeliest?.damping_kg_per_s ?? 0);
-    const rateHz = this.model.hello?.tool.sample_rate_hz ?? NaN;
-    const movedM = at("tissue_displacement_m", tick) - at("tissue_displacement_m", tick - SPEED_TICKS);
-    const speedMPerS = Number.isFinite(movedM) ? (movedM * rateHz) / SPEED_TICKS : 0;
-    return at("jaw_force_n", tick) - damping * speedMPerS;
+  /** Of the jaws, m/s; 0 where it is not known yet. With it the damping is taken off: the library's curves have none. */
+  private speed(ring: SampleRing, compression: number, tick: number): number {
+    const movedM = ring.at(compression, tick + SPEED_TICKS / 2) - ring.at(compression, tick - SPEED_TICKS / 2);
+    return Number.isFinite(movedM) ? (movedM * (this.model.hello?.tool.sample_rate_hz ?? NaN)) / SPEED_TICKS : 0;
   }
 
   private drawCurve(frame: Frame): void {
