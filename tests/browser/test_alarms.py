@@ -64,6 +64,17 @@ def test_acknowledged_while_it_lasts_it_stays_in_sight_with_the_name_of_who_did_
     expect(viewer.at("alarm-text")).to_have_text("No alarms", timeout=2_000)
 
 
+def test_nothing_moves_on_a_tablet_when_an_alarm_comes(service, watch):
+    viewer = watch(service.url, width=1280, height=800)
+    expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live", timeout=5_000)
+    top = viewer.page.locator("#watch").bounding_box()["y"]
+    service.run(protocol="trapezoid_025hz", cycles=1, tissue="bladder")
+    expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "high", timeout=5_000)
+    assert viewer.page.locator("#watch").bounding_box()["y"] == top
+    after = viewer.page.locator("#force-threshold").bounding_box()
+    assert after["y"] + after["height"] <= 800
+
+
 def test_an_alarm_is_on_the_screen_within_200_ms_of_its_sample(service, watch):
     viewer = watch(service.url)
     expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live", timeout=5_000)
