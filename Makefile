@@ -23,7 +23,7 @@ bench: $(VENV)/.installed app/static/index.html ## measure; prints the table, wr
 
 dashboard: app/static/index.html ## build the dashboard
 
-screenshots: $(VENV)/.installed app/static/index.html ## renew the picture in the README (needs Chromium)
+screenshots: $(VENV)/.installed app/static/index.html ## take the dashboard in each of its states (needs Chromium)
 	$(BIN)/python tests/screenshots.py
 
 figures: $(VENV)/.installed ## run all studies, renew docs/estimation.md (needs Chromium)

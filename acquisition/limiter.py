@@ -85,6 +85,7 @@ class HoldBack:
         self._begins_with = 1.0  # a grasp that had to be let go teaches the following ones how strong the tool is
         self._stronger_share = -math.expm1(-self._block_s / STRONGER_S)
         self._weaker_share = -math.expm1(-self._block_s / WEAKER_S)
+        self._grasped = self._touched = False  # whether a grasp is under way, and has met tissue
         self.why_let_go: str | None = None  # not None: the command stays at zero until the protocol asks for that, too
 
     def allow(self, threshold_n: float, tick: int) -> None:
@@ -102,9 +103,12 @@ class HoldBack:
         self._followed.append(threshold_n)
         force_n = middle_of(samples["jaw_force_n"].tolist())
         expected_n = self._expected.at_middle(int(samples["tick"][0]), len(samples), int(last["contact_tick"]), force_n)
+        self._touched |= bool(last["contact_tick"] >= 0)
         if wanted_v <= COMMAND_ON_V:  # between grasps
+            self._learn()
             self._strength, self._limit_n, self.why_let_go = self._begins_with, self._margin * threshold_n, None
             return self._ask(wanted_v), 0
+        self._grasped = True
         self._limit_n = min(self._margin * threshold_n, self._limit_n + RAISE_N_PER_S * self._block_s)
         trusted_n = TRUSTED_SHARE * self._limit_n
         if force_n is not None:
@@ -118,6 +122,13 @@ class HoldBack:
         most_v = float(self._map.command((self._limit_n + trusted_n) / self._strength - trusted_n))
         most_v = max(most_v, LEAST_HOLD_V)
         return (self._ask(most_v), HELD_BACK) if most_v < wanted_v else (self._ask(wanted_v), 0)
+
+    def _learn(self) -> None:
+        """What the grasp that is over says of the next one; without contact it says nothing, and a doubt is halved."""
+        if self._grasped and self.why_let_go is None:
+            learned = max(self._strength, 1.0)
+            self._begins_with = learned if self._touched else 0.5 * (learned + 1.0)
+        self._grasped = self._touched = False
 
     def _ask(self, command_v: float) -> float:
         self._expected.asked_n = float(self._map.force(command_v))

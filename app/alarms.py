@@ -10,7 +10,7 @@ from app.wire import Alarm, AlarmKind, JournalKind, Priority
 from config.errors import RefusedError
 from estimator.alarms import ForceAlarm
 
-FORCE = "force"
+FORCE, PEAK = "force", "force-peak"
 RANK = {Priority.LOW: 1, Priority.MEDIUM: 2, Priority.HIGH: 3}
 SHARE_TEXT = {
     Priority.LOW: "Force near the injury threshold",
@@ -23,9 +23,9 @@ OVER_TEXT = "Force over the injury threshold"
 class AlarmBook:
     """At most one alarm a key; its `id` stays the same until it is over.
 
-    A force over the limit latches: it stays, though its cause is gone, until somebody has acknowledged it. So does what
-    is over when it is told: a grasp that was let go, a run that failed. An acknowledged alarm that becomes worse is a
-    new one to people: the acknowledgement is taken back.
+    The force alarm follows its cause. When it leaves the high priority and nobody has acknowledged it, the peak stays
+    as an alarm of its own until somebody has; so does everything that is over when it is told, such as a grasp that was
+    let go. An acknowledged alarm that becomes worse is a new one to people: the acknowledgement is taken back.
     """
 
     def __init__(self, tell: Callable[[BaseModel], None], journal: Journal | None = None) -> None:
@@ -46,45 +46,65 @@ class AlarmBook:
 
     def force(self, change: ForceAlarm, at_ms: float | None = None) -> None:
         """Take a change of the force warning."""
+        before = self._alarms.get(FORCE)
+        if before and before.priority is Priority.HIGH and change.priority != Priority.HIGH:
+            self._keep_peak(before)
         if change.priority is None:
             self.end(FORCE, at_ms)
             return
         priority = Priority(change.priority)
         whose = change.threshold_tissue.replace("_", " ") if change.threshold_tissue else "lowest of the library"
         words = OVER_TEXT if change.force_n >= change.threshold_n else SHARE_TEXT[priority]
-        self._raise(
-            FORCE, AlarmKind.FORCE, priority, f"{words} ({whose})", at_ms, change.force_n, change.threshold_n,
-            latches=priority is Priority.HIGH,
-        )  # fmt: skip
+        text = f"{words} ({whose})"
+        self._raise(FORCE, AlarmKind.FORCE, priority, text, at_ms, change.force_n, change.threshold_n)
 
-    def happened(self, key: str, kind: AlarmKind, text: str) -> None:
+    def feel(self, force_n: float | None) -> None:
+        """The force now, N: the alarm's value is its highest."""
+        alarm = self._alarms.get(FORCE)
+        if alarm and force_n is not None and alarm.value is not None and force_n > alarm.value:
+            self._keep(FORCE, alarm.model_copy(update={"value": force_n}))
+
+    def end_force(self) -> None:
+        """The force is not followed any more: whoever told of it is gone."""
+        if (alarm := self._alarms.get(FORCE)) and alarm.priority is Priority.HIGH:
+            self._keep_peak(alarm)
+        self.end(FORCE)
+
+    def _keep_peak(self, alarm: Alarm) -> None:
+        if alarm.acknowledged_by is None:
+            self.happened(PEAK, AlarmKind.FORCE, f"Peak: {alarm.text}", alarm.began_ms, alarm.value, alarm.limit)
+
+    def happened(
+        self, key: str, kind: AlarmKind, text: str, at_ms: float | None = None,
+        value: float | None = None, limit: float | None = None,
+    ) -> None:  # fmt: skip
         """Something is over when it is told, but somebody has to know of it: a high alarm that latches."""
-        self._raise(key, kind, Priority.HIGH, text, None, latches=True)
+        before = self._alarms.get(key)
+        if before and (before.value or 0.0) > (value or 0.0):
+            return  # the highest peak is the one to know of
+        self._raise(key, kind, Priority.HIGH, text, at_ms, value, limit, latched=True)
         self.end(key)
 
     def _raise(
         self, key: str, kind: AlarmKind, priority: Priority, text: str, at_ms: float | None,
-        value: float | None = None, limit: float | None = None, *, latches: bool = False,
+        value: float | None = None, limit: float | None = None, *, latched: bool = False,
     ) -> None:  # fmt: skip
         before = self._alarms.get(key)
-        if before and before.latched and RANK[priority] < RANK[before.priority]:
-            return  # what latched is shown until it is acknowledged, not what came after it
-        again = before is not None and not before.active
-        if before and not again and (before.priority, before.text, before.limit) == (priority, text, limit):
+        if before and (before.priority, before.text, before.value, before.limit) == (priority, text, value, limit):
             return
         if not before:
             self._count += 1
-        worse = before is None or again or RANK[priority] > RANK[before.priority]
+        worse = before is None or RANK[priority] > RANK[before.priority]
         alarm = Alarm(
             id=before.id if before else f"{key}-{self._count}",
             kind=kind,
             priority=priority,
             active=True,
-            latched=latches and (worse or before.latched),
+            latched=latched,
             text=text,
             value=value,
             limit=limit,
-            unit="N" if kind is AlarmKind.FORCE else None,
+            unit="N" if value is not None else None,
             began_ms=before.began_ms if before else _at(at_ms),
             ended_ms=None,
             acknowledged_by=None if worse else before.acknowledged_by,
@@ -100,15 +120,18 @@ class AlarmBook:
             self._keep(key, alarm.model_copy(update={"active": False, "ended_ms": _at(at_ms)}))
             self._note(JournalKind.ALARM, alarm, f"Over: {alarm.text}")
 
-    def acknowledge(self, alarm_id: str, by: str) -> Alarm:
+    def acknowledge(self, alarm_id: str, seen: Priority, by: str) -> Alarm:
         """Somebody has seen it; an alarm whose cause is gone is over with that.
 
         Raises:
-            RefusedError: there is no such alarm any more.
+            RefusedError: there is no such alarm any more, or it is worse by now than what was `seen`.
         """
         key = next((key for key, alarm in self._alarms.items() if alarm.id == alarm_id), None)
         if key is None:
-            raise RefusedError(f"There is no alarm {alarm_id!r} any more. GET /api/alarms lists those that are on.")
+            text = f"There is no alarm {alarm_id!r} any more. GET /api/alarms lists those that are on."
+            raise RefusedError(text, "id")
+        if RANK[self._alarms[key].priority] > RANK[seen]:
+            raise RefusedError("The alarm is worse by now: look at it again.", "priority")
         alarm = self._alarms[key].model_copy(update={"acknowledged_by": by, "latched": False})
         self._keep(key, alarm)
         self._note(JournalKind.ACKNOWLEDGED, alarm, f"Acknowledged: {alarm.text}", by)

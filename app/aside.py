@@ -46,6 +46,7 @@ async def run_aside(name: str, work: Callable[..., None], *arguments: Any, told:
                 raise report
             told(report)
     except EOFError:
+        await asyncio.to_thread(process.join)
         code = process.exitcode or 0
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         raise ServiceError(

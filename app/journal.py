@@ -15,7 +15,8 @@ KEPT = 2_000
 class Journal:
     """Appends to a file. A file that cannot be written is told once, and the lines go on in memory."""
 
-    def __init__(self, folder: Path, on_fault: Callable[[str], None]) -> None:
+    def __init__(self, folder: Path, on_fault: Callable[[str | None], None]) -> None:
+        """`on_fault` hears what is wrong with the file, and None once it can be written again."""
         self._path = folder / "journal.jsonl"
         self._on_fault = on_fault
         self._sound = True
@@ -29,7 +30,9 @@ class Journal:
         try:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(entry.model_dump_json(exclude_none=True) + "\n")
-            self._sound = True
+            if not self._sound:
+                self._sound = True
+                self._on_fault(None)
         except OSError as error:
             if self._sound:
                 self._sound = False

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import logging
-import shutil
 import time
 from collections import deque
 from collections.abc import Callable
@@ -17,7 +16,7 @@ from acquisition import bus
 from acquisition.blocks import SampleBlock
 from app.alarms import AlarmBook
 from app.clock import now_ms, wall_ms
-from app.describe import hello
+from app.describe import free_bytes, hello
 from app.frames import FrameBuffer
 from app.joiner import Joiner
 from app.journal import Journal
@@ -35,6 +34,9 @@ from config.schema import Protocol, ToolKind
 from estimator.worker import unpack_estimates
 
 ANSWER_S = 0.5
+GRASPS_TOLD = 200  # of the last run, to a viewer who comes
+LITTLE_DISK_BYTES = 200e6  # a few minutes of a recording
+LOSS_SHOWN_S = 5.0
 CLOCK_DRIFT_S = 5e-7  # a block: 100 ppm between the board's clock and the computer's
 
 
@@ -46,7 +48,7 @@ class Station:
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
         self.metrics = Metrics()
         self.hub = Hub(plan.settings.server.chart_window_frames)
-        self.journal = Journal(plan.data, lambda text: self.alarms.raise_technical("journal", Priority.LOW, text))
+        self.journal = Journal(plan.data, self._on_journal)
         self.alarms = AlarmBook(self.hub.broadcast, self.journal)
         self.supervisor = Supervisor(plan, self._on_death)
         self.watchdog = Watchdog(self.supervisor, self.alarms, self.tell_event)
@@ -59,13 +61,15 @@ class Station:
         rate_hz, tissues = plan.tool.board.sample_rate_hz, len(plan.library.tissues)
         self._frames = FrameBuffer(int(plan.settings.server.history_s * rate_hz))
         self._joiner = Joiner(self._frames, tissues)
-        self._teller = Teller(plan.library, rate_hz, self.alarms, self.hub.broadcast, self._keep_grasp)
+        self._teller = self._new_teller()
         self._samples = bus.SequenceCounter()
         self._estimates = bus.SequenceCounter()
         self._rate: deque[tuple[float, int]] = deque(maxlen=400)
         self._promptest_s = float("inf")
         self._latency_ms: float | None = None
         self.lost_samples = 0
+        self._lost_s = 0.0
+        self._free_bytes = free_bytes(plan.data)
         self._last_tick = -1
         self._fault_texts: dict[str, str] = {}
         self.estimator_ready = asyncio.Event()
@@ -183,6 +187,7 @@ class Station:
             self.tell_state()
         if self._samples.begins_anew(block.sequence):
             self._joiner.begin_anew()
+            self._forget_grasp()
             self.runs.ticks_begin_anew()
         missing = self._samples.take(block.sequence)
         self._last_tick = int(block.samples["tick"][-1])
@@ -203,11 +208,39 @@ class Station:
         self._promptest_s = min(self._promptest_s + CLOCK_DRIFT_S, behind_s)
         self.metrics.acquisition_lateness.observe(behind_s - self._promptest_s)
 
+    def _new_teller(self) -> Teller:
+        rate_hz = self.plan.tool.board.sample_rate_hz
+        return Teller(self.plan.library, rate_hz, self.alarms, self.hub.broadcast, self._keep_grasp)
+
+    def _forget_grasp(self) -> None:
+        """A worker begins anew: nobody will tell the end of what was under way."""
+        self.alarms.end_force()
+        self._teller = self._new_teller()
+
+    def _on_journal(self, fault: str | None) -> None:
+        if fault:
+            self.alarms.raise_technical("journal", Priority.LOW, fault)
+        else:
+            self.alarms.end("journal")
+
+    def _watch_disk(self) -> None:
+        """Once a second: room for what is kept, and samples that were lost a while ago."""
+        self._free_bytes = free_bytes(self.plan.data)
+        if self._free_bytes is None:
+            self.alarms.raise_technical("disk", Priority.MEDIUM, f"The data folder {self.plan.data} is gone: mend it")
+        elif self._free_bytes < LITTLE_DISK_BYTES:
+            self.alarms.raise_technical("disk", Priority.MEDIUM, f"The disk of {self.plan.data} is full: make room")
+        else:
+            self.alarms.end("disk")
+        if time.monotonic() - self._lost_s > LOSS_SHOWN_S:
+            self.alarms.end("lost")
+
     def _count_lost(self, samples: int) -> None:
         if samples:
             self.lost_samples += samples
+            self._lost_s = time.monotonic()
             self.metrics.lost_samples.inc(samples)
-            self.alarms.raise_technical("lost", Priority.LOW, f"{self.lost_samples} samples lost so far")
+            self.alarms.raise_technical("lost", Priority.LOW, "Samples are being lost: the status strip counts them")
 
     def _on_estimator(self, parts: list[bytes]) -> None:
         if parts[0] == bus.NOTICE:
@@ -264,6 +297,7 @@ class Station:
             self.alarms.raise_technical("motor", Priority.HIGH, text)
             return
         self.metrics.worker_deaths.labels(worker).inc()
+        self._forget_grasp()
         text = " ".join(filter(None, (self._fault_texts.pop(worker, None), text)))
         self.alarms.raise_technical(worker, Priority.HIGH, text)
         self.tell_event(text)
@@ -291,6 +325,7 @@ class Station:
             self.watchdog.watch()
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
+                self._watch_disk()
                 self.tell_state()
 
     def conditions(self) -> dict[str, str]:
@@ -329,7 +364,7 @@ class Station:
             estimator_latency_ms=self._latency_ms,
             viewers=len(self.hub.viewers),
             recording=None,
-            free_disk_bytes=shutil.disk_usage(self.plan.data).free,
+            free_disk_bytes=self._free_bytes,
             faults=self.alarms.technical_texts(),
         )
 
@@ -353,7 +388,7 @@ class Station:
         messages: list[Any] = [hello(plan, plan.tool, recording=bool(plan.opened)), self.state(), *self.alarms.all()]
         run = self.runs.last
         if run:
-            messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.runs.grasps(run.id)]
+            messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.runs.grasps(run.id)[-GRASPS_TOLD:]]
         if self._teller.identification:
             messages.append(self._teller.identification)
         return messages, self._frames.history()

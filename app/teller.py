@@ -57,6 +57,7 @@ class Teller:
         if changed or due:
             self._told_tick = message.tick
             self._tell(message)
+            self._alarms.feel(message.force_n)
 
     def _count(self, priority: Priority | None) -> None:
         if priority is None:

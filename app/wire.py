@@ -230,7 +230,7 @@ class State(Wire):
     estimator_latency_ms: float | None
     viewers: int
     recording: str | None = Field(description="File that is being written; null: nothing is recorded")
-    free_disk_bytes: int
+    free_disk_bytes: int | None = Field(description="Null: the data folder is gone")
     faults: list[str]
 
 
@@ -287,6 +287,7 @@ class AcknowledgeRequest(Wire):
     """Somebody has seen an alarm."""
 
     by: Person
+    priority: Priority = Field(description="What was seen; refused if the alarm is worse by now")
 
 
 class EventMessage(Wire):
@@ -429,7 +430,7 @@ class System(Wire):
     started_at: str
     workers: dict[str, str]
     data_folder: str
-    free_disk_bytes: int
+    free_disk_bytes: int | None
     tool: dict[str, Any] = Field(description="The tool file")
     settings: dict[str, Any] = Field(description="The settings in use")
 

@@ -1,13 +1,12 @@
 """One viewer's replay of a recording: plays its film, with pause, seek and speed, apart from everybody else's."""
 
 import asyncio
-import shutil
 import time
 
 from fastapi import WebSocket
 from pydantic import BaseModel
 
-from app.describe import hello
+from app.describe import free_bytes, hello
 from app.frames import pack
 from app.live import Viewer
 from app.plan import ServicePlan
@@ -98,7 +97,7 @@ class Player:
             server_time_ms=self._at_ms, phase=Phase.REPLAY, run=None, last_run=None, simulated_tissue=None, demo=None,
             control=None, rate_hz=self._film.rate_hz, lost_samples=self._film.lost_samples(self._head.shown),
             estimator_latency_ms=None, viewers=self._showing.viewers, recording=None,
-            free_disk_bytes=shutil.disk_usage(self._plan.data).free, faults=self._film.faults(self._head.shown),
+            free_disk_bytes=free_bytes(self._plan.data), faults=self._film.faults(self._head.shown),
         )  # fmt: skip
 
 

@@ -19,13 +19,17 @@ async def alarms(request: Request) -> list[Alarm]:
     return station_of(request).alarms.all()
 
 
-@router.post("/alarms/{alarm_id}/acknowledge", responses={404: {"description": "No such alarm", **PROBLEM}})
+@router.post(
+    "/alarms/{alarm_id}/acknowledge",
+    responses={404: {"description": "No such alarm", **PROBLEM}, 409: {"description": "Worse by now", **PROBLEM}},
+)
 async def acknowledge(request: Request, alarm_id: str, wanted: AcknowledgeRequest) -> Alarm:
     """Somebody has seen an alarm: it falls silent on every page, and stays in sight until its cause is gone."""
     try:
-        return station_of(request).alarms.acknowledge(alarm_id, wanted.by)
+        return station_of(request).alarms.acknowledge(alarm_id, wanted.priority, wanted.by)
     except RefusedError as error:
-        raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
+        status = HTTPStatus.NOT_FOUND if error.field == "id" else HTTPStatus.CONFLICT
+        raise ProblemError(status, str(error)) from None
 
 
 @router.get("/journal")

@@ -2,12 +2,12 @@
 
 import os
 import platform
-import shutil
 from importlib.metadata import version
 
 from fastapi import APIRouter, Request
 
 from app import __version__
+from app.describe import free_bytes
 from app.routes.runs import station_of
 from app.wire import System
 
@@ -27,7 +27,7 @@ async def system(request: Request) -> System:
         started_at=station.started_at,
         workers=station.conditions(),
         data_folder=str(plan.data),
-        free_disk_bytes=shutil.disk_usage(plan.data).free,
+        free_disk_bytes=free_bytes(plan.data),
         tool=plan.tool.model_dump(mode="json"),
         settings=plan.settings.model_dump(mode="json"),
     )

@@ -39,7 +39,7 @@ const ROUTES: Route[] = [
     matches: (path) => path.startsWith("/recordings/"),
     load: async () => {
       const { ReplayPage } = await import("./pages/replay");
-      return (box, path) => new ReplayPage(box, decodeURIComponent(path.slice("/recordings/".length)), person);
+      return (box, path) => new ReplayPage(box, decodeURIComponent(path.slice("/recordings/".length)), person, schedule);
     },
   },
   {

@@ -68,7 +68,7 @@ export class StressCard {
     if (anew || (grasp !== this.grasp && identification?.in_grasp)) {
       this.points = [];
       this.stepTicks = FIRST_STEP_TICKS;
-      this.nextTick = anew ? ring.start : Math.max(ring.start, Math.min(this.nextTick, ring.end));
+      this.nextTick = anew ? this.contactOf(ring) : Math.max(ring.start, Math.min(this.nextTick, ring.end));
       this.grasp = grasp;
       this.generation = ring.generation;
     }
@@ -91,6 +91,14 @@ export class StressCard {
       this.points = this.points.filter((_, i) => i % 2 === 0);
       this.stepTicks *= 2;
     }
+  }
+
+  /** The tick at which the tissue that is held now was touched; the newest one where nothing is held. */
+  private contactOf(ring: SampleRing): number {
+    const compression = this.model.column("tissue_displacement_m");
+    let tick = ring.end;
+    while (tick > ring.start && Number.isFinite(ring.at(compression, tick - 1))) tick -= 1;
+    return tick;
   }
 
   /** Of the jaws, m/s; 0 where it is not known yet. With it the damping is taken off: the library's curves have none. */

@@ -24,6 +24,10 @@ export class Pace {
     this.channel.port2.postMessage(null);
   }
 
+  close(): void {
+    this.channel.port1.close(); // an open one would keep all of this for good
+  }
+
   /** Whether the chart is drawn in this picture. */
   draws(chart: number): boolean {
     return !this.halved || chart % 2 === this.turn;

@@ -38,6 +38,8 @@ export class ChartStack {
 
   constructor(private readonly model: Model) {
     byId("pause").addEventListener("click", () => this.togglePause());
+    byId("zoom-in").addEventListener("click", () => this.zoom(0.5));
+    byId("zoom-out").addEventListener("click", () => this.zoom(2));
     byId("zoom-reset").addEventListener("click", () => this.reset());
     this.scrub.addEventListener("input", () => this.scrubTo(Number(this.scrub.value)));
     for (const button of this.parameterButtons()) {
@@ -89,6 +91,7 @@ export class ChartStack {
   }
 
   close(): void {
+    this.pace.close();
     for (const strip of this.strips) strip.destroy();
   }
 

@@ -2,6 +2,8 @@ import type { FrameReceived, ReplayControl, ServerMessage } from "../wire";
 import { decodeFrame, type Frame } from "./frame";
 
 const FIRST_RETRY_MS = 250;
+/** The close code of a server that cannot show what was asked for: asking again changes nothing. */
+const REFUSED = 1008;
 const LONGEST_RETRY_MS = 2000;
 /** The server speaks at least once a second; a connection this silent is dead though nobody closed it. */
 const SILENT_AFTER_MS = 4000;
@@ -57,7 +59,7 @@ export class Connection {
     this.socket = socket;
     this.heardMs = performance.now();
     socket.onmessage = (event) => this.receive(socket, event.data);
-    socket.onclose = () => this.lost(socket);
+    socket.onclose = ({ code }) => this.lost(socket, code);
   }
 
   private receive(socket: WebSocket, data: unknown): void {
@@ -82,12 +84,13 @@ export class Connection {
     if (this.socket && performance.now() - this.heardMs > SILENT_AFTER_MS) this.lost(this.socket);
   }
 
-  private lost(socket: WebSocket): void {
+  private lost(socket: WebSocket, code = 0): void {
     if (socket !== this.socket) return;
     this.socket = null;
     socket.onmessage = socket.onclose = null;
     socket.close();
     this.listener.onConnected(false);
+    if (code === REFUSED) return;
     this.retry = window.setTimeout(() => this.open(), this.retryMs);
     this.retryMs = Math.min(this.retryMs * 2, LONGEST_RETRY_MS);
   }

@@ -44,7 +44,7 @@ export class Model {
 
   /** The service shows recordings only. */
   get hasNoTool(): boolean {
-    return this.state?.phase === "replay";
+    return this.connected && this.state?.phase === "replay";
   }
 
   get tissues(): TissueInfo[] {
@@ -106,6 +106,7 @@ export class Model {
     }
     this.hello = hello;
     this.samplesMissed = 0;
+    if (this.isReplay) this.grasps = [];
     this.identification = null;
     this.alarms.clear();
     this.clock.reset();

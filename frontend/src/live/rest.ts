@@ -1,4 +1,4 @@
-import type { AcknowledgeRequest, Alarm, Problem, ProtocolInfo, Run, RunRequest, StopAnswer, StopRequest } from "../wire";
+import type { AcknowledgeRequest, Alarm, Priority, Problem, ProtocolInfo, Run, RunRequest, StopAnswer, StopRequest } from "../wire";
 
 const PATIENCE_MS = 5000;
 const STOP_PATIENCE_MS = 2000;
@@ -25,8 +25,8 @@ export const sendStop = (by: string | null): Promise<StopAnswer> => {
   return ask("POST", "/api/stop", STOP_PATIENCE_MS, request);
 };
 
-export const acknowledgeAlarm = (id: string, by: string): Promise<Alarm> => {
-  const request: AcknowledgeRequest = { by };
+export const acknowledgeAlarm = (id: string, priority: Priority, by: string): Promise<Alarm> => {
+  const request: AcknowledgeRequest = { by, priority };
   return postJson(`/api/alarms/${encodeURIComponent(id)}/acknowledge`, request);
 };
 

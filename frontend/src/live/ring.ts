@@ -1,6 +1,6 @@
 import type { Frame } from "./frame";
 
-/** The last minute of every channel at the full rate, addressed by absolute tick. */
+/** The last minutes of every channel at the full rate, addressed by absolute tick. */
 export class SampleRing {
   private readonly columns: Float32Array[];
   private first = 0;

@@ -6,6 +6,7 @@ import type { ReplayControl } from "../wire";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10];
 const JUMP_S = 2;
+const SEEK_EVERY_MS = 150;
 /** A jump to a grasp begins a little before it. */
 const LEAD_S = 0.3;
 
@@ -16,6 +17,7 @@ export class ReplayBar {
   private readonly speed = byId<HTMLSelectElement>("replay-speed");
   private told = "";
   private dragging = false;
+  private seeking = false;
 
   constructor(
     private readonly model: Model,
@@ -35,9 +37,12 @@ export class ReplayBar {
     this.speed.addEventListener("change", () => this.want({ speed: Number(this.speed.value) }));
     this.position.addEventListener("input", () => {
       this.dragging = true;
+      this.seekSoon();
+    });
+    this.position.addEventListener("change", () => {
+      this.dragging = false;
       this.want({ position_s: Number(this.position.value) });
     });
-    this.position.addEventListener("change", () => (this.dragging = false));
     this.keys = [
       { key: " ", shown: "Space", does: "Replay: play or pause", run: () => this.toggle() },
       { key: ",", shown: ",", does: `Replay: ${JUMP_S} s back`, run: () => this.jump(-JUMP_S) },
@@ -64,6 +69,7 @@ export class ReplayBar {
     const length = replay.duration_s ?? 0;
     setText(byId("replay-play"), replay.playing ? "Pause" : "Play");
     setAttribute(this.position, "max", String(length));
+    if (document.activeElement !== this.speed) this.speed.value = String(replay.speed);
     if (!this.dragging) this.position.value = replay.position_s.toFixed(2);
     setText(byId("replay-time"), `${fixed(replay.position_s, 1, "s")} of ${fixed(length, 1, "s")}`);
     this.renderAlarms();
@@ -82,6 +88,16 @@ export class ReplayBar {
     const texts = [...this.model.alarms.values()].filter(({ active }) => active).map(({ priority, text }) => `In the recording, ${priority}: ${text}`);
     const box = byId("replay-alarms");
     if (box.textContent !== texts.join("")) box.replaceChildren(...texts.map((text) => create("li", "", text)));
+  }
+
+  /** While the slider is dragged, a few times a second: each jump sends ten seconds of samples. */
+  private seekSoon(): void {
+    if (this.seeking) return;
+    this.seeking = true;
+    setTimeout(() => {
+      this.seeking = false;
+      if (this.dragging) this.want({ position_s: Number(this.position.value) });
+    }, SEEK_EVERY_MS);
   }
 
   private toggle(): void {

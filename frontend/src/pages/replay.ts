@@ -1,4 +1,3 @@
-import { fill } from "../dom";
 import { Connection } from "../live/connection";
 import { Model } from "../live/model";
 import type { Person } from "../shell/person";
@@ -14,17 +13,20 @@ export class ReplayPage implements Page {
   private readonly bar: ReplayBar;
   private readonly connection: Connection;
 
-  constructor(box: HTMLElement, name: string, person: Person) {
-    fill(box, "");
+  /** `schedule` asks for a picture. */
+  constructor(box: HTMLElement, name: string, person: Person, schedule: () => void) {
     this.watch = new WatchPage(box, this.model, person);
     this.connection = new Connection(`/api/recordings/${encodeURIComponent(name)}/replay`, {
       onConnected: (connected) => (this.model.connected = connected),
       onMessage: (message, arrivedMs) => {
         this.model.take(message, arrivedMs);
+        schedule();
+        if (message.type === "hello") this.bar.tell("");
         if (message.type === "event") this.bar.tell(message.text);
       },
       onFrame: (frame, arrivedMs) => {
         this.model.takeFrame(frame, arrivedMs);
+        schedule();
         if (frame.history) this.watch.charts.historyChanged();
       },
     });

@@ -41,7 +41,7 @@ export class SystemPage implements Page {
       "Up for": duration(Date.now() - Date.parse(system.started_at)),
       Started: dateTime(system.started_at),
       "Data folder": system.data_folder,
-      "Free disk": bytes(system.free_disk_bytes),
+      "Free disk": system.free_disk_bytes === null ? "the folder is gone" : bytes(system.free_disk_bytes),
     });
     showFacts(byId("service-workers"), system.workers);
     for (const dd of byId("service-workers").querySelectorAll("dd")) setData(dd, "warn", String(dd.textContent === "faulted"));

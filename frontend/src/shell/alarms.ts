@@ -63,15 +63,17 @@ export class AlarmBar {
     this.shown = alarms;
     this.renderBar(alarms, nowMs);
     this.renderList(alarms, nowMs);
-    const loud = alarms.find(({ acknowledgedBy, latched }) => acknowledgedBy === null && !latched);
+    const loud = alarms.find(({ acknowledgedBy }) => acknowledgedBy === null);
     this.sound.render(loud ? keyOf(loud) : null, loud?.priority ?? null, nowMs);
     this.announce(alarms[0] ?? null);
   }
 
-  /** The highest one that nobody has acknowledged yet. */
+  /** The highest one that nobody has acknowledged yet; one that the bar does not show is shown first. */
   acknowledge(): void {
     const alarm = this.shown.find(({ acknowledgedBy }) => acknowledgedBy === null);
-    if (alarm) this.acknowledgeOne(alarm);
+    if (!alarm) return;
+    if (alarm === this.shown[0] || this.listOpen) this.acknowledgeOne(alarm);
+    else this.toggleList();
   }
 
   toggleList(): void {
@@ -85,7 +87,7 @@ export class AlarmBar {
       return;
     }
     this.person.withName((by) => {
-      acknowledgeAlarm(alarm.id, by).catch((error: unknown) => {
+      acknowledgeAlarm(alarm.id, alarm.priority, by).catch((error: unknown) => {
         this.model.lastEvent = `Not acknowledged: ${messageOf(error)}`;
       });
     });
@@ -94,7 +96,7 @@ export class AlarmBar {
   private renderBar(alarms: ShownAlarm[], nowMs: number): void {
     const top = alarms[0];
     setData(this.bar, "priority", top?.priority ?? "none");
-    setData(this.bar, "quiet", String(top !== undefined && (top.acknowledgedBy !== null || top.latched)));
+    setData(this.bar, "quiet", String(top !== undefined && top.acknowledgedBy !== null));
     setText(byId("alarm-priority"), top ? WORD[top.priority] : "");
     setText(byId("alarm-text"), top ? top.text : "No alarms");
     setText(byId("alarm-since"), top ? since(top, nowMs) : this.lastAlarm());
@@ -143,9 +145,12 @@ export class AlarmBar {
 
 const keyOf = ({ id, priority }: ShownAlarm): string => `${id} ${priority}`;
 
-/** Those that nobody has seen first, then the higher priority, then the newer one. */
+/** The higher priority first, then what nobody has acknowledged, then what is not over yet, then the newer one. */
 const byUrgency = (a: ShownAlarm, b: ShownAlarm): number =>
-  RANK[b.priority] - RANK[a.priority] || Number(a.latched) - Number(b.latched) || b.beganAt - a.beganAt;
+  RANK[b.priority] - RANK[a.priority] ||
+  Number(a.acknowledgedBy !== null) - Number(b.acknowledgedBy !== null) ||
+  Number(a.latched) - Number(b.latched) ||
+  b.beganAt - a.beganAt;
 
 /** The server's words, with value and limit unless they say them already. */
 function inWords({ text, value, limit, unit }: Alarm): string {

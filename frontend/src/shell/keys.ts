@@ -35,6 +35,7 @@ export class Keys {
       return;
     }
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat || isField(event.target)) return;
+    if (event.key.startsWith("Arrow") && event.target instanceof HTMLInputElement) return; // moves that slider
     if (event.key === " " && event.target instanceof HTMLButtonElement) return; // presses that button
     const action = [...this.everywhere, ...this.ofPage(), this.help].find(({ key }) => key === event.key);
     if (!action || (this.dialog.open && action !== this.help)) return;

@@ -1,4 +1,4 @@
-import { byId, setAttribute } from "../dom";
+import { byId, create, setAttribute } from "../dom";
 import type { KeyAction } from "./keys";
 
 /** What fills the page below the header. */
@@ -36,7 +36,8 @@ export class Router {
   }
 
   go(path: string): void {
-    if (path !== location.pathname) history.pushState(null, "", path);
+    if (path === location.pathname && this.page) return; // what somebody has set there stays
+    history.pushState(null, "", path);
     void this.show();
   }
 
@@ -55,10 +56,24 @@ export class Router {
     this.box.replaceChildren();
     this.box.scrollTop = 0;
     scrollTo(0, 0);
-    const build = await route.load();
-    if (opening !== this.opening) return; // somebody went on meanwhile
-    this.page = build(this.box, path);
-    this.onOpen();
+    try {
+      const build = await route.load();
+      if (opening !== this.opening) return; // somebody went on meanwhile
+      this.page = build(this.box, path);
+      this.onOpen();
+    } catch (error) {
+      if (opening === this.opening) this.showFailure(error);
+    }
+  }
+
+  /** Most likely the connection is gone; what is loaded already goes on. */
+  private showFailure(error: unknown): void {
+    const box = create("section", "card");
+    const again = create("button", "", "Load this page again");
+    again.addEventListener("click", () => location.reload());
+    const why = error instanceof Error ? error.message : String(error);
+    box.append(create("h2", "", "This page cannot be shown"), create("p", "", why), again);
+    this.box.replaceChildren(box);
   }
 
   private follow(event: MouseEvent): void {

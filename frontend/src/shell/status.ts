@@ -32,8 +32,9 @@ export class StatusStrip {
     setText(byId("status-dropped"), String(dropped));
     setData(byId("status-dropped"), "warn", String(dropped > 0));
     setText(byId("status-recording"), state?.recording ?? "off");
-    setText(byId("status-disk"), state ? bytes(state.free_disk_bytes) : NO_VALUE);
-    setData(byId("status-disk"), "warn", String(state !== null && state.free_disk_bytes < LITTLE_DISK_BYTES));
+    const free = state?.free_disk_bytes ?? null;
+    setText(byId("status-disk"), free === null ? NO_VALUE : bytes(free));
+    setData(byId("status-disk"), "warn", String(free !== null && free < LITTLE_DISK_BYTES));
     setText(byId("status-viewers"), state ? String(state.viewers) : NO_VALUE);
     this.renderNews(state?.faults ?? []);
   }
