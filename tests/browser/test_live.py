@@ -112,7 +112,7 @@ def test_charts_pause_look_back_zoom_and_hide(service, watch):
     viewer = watch(service.url)
     charts = viewer.page.locator("#charts")
     expect(charts).to_have_attribute("data-empty", "false", timeout=5_000)
-    viewer.page.wait_for_timeout(1_000)
+    viewer.page.wait_for_timeout(5_000)  # so that there is something to look back to
     plot = viewer.page.locator("#chart-force .u-over")
     box = plot.bounding_box()
     viewer.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20)
@@ -124,6 +124,7 @@ def test_charts_pause_look_back_zoom_and_hide(service, watch):
     before = viewer.at("scrub").input_value()
     viewer.page.keyboard.press("ArrowLeft")
     expect(viewer.at("scrub")).not_to_have_value(before)
+    box = plot.bounding_box()
     viewer.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20)
     for name in ("force", "displacement", "probability", "parameter"):
         expect(viewer.page.locator(f"#readout-{name}")).to_contain_text(" s:")

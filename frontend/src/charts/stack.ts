@@ -29,6 +29,7 @@ export class ChartStack {
   private builtFor: { ring: SampleRing; channels: unknown } | null = null;
   private drawn = "";
   private pausedBefore = false;
+  private pressed = false;
   private parameter: Parameter = "alpha_n";
   private readonly legend = new Legend(byId("legend"), (key, visible) =>
     this.strips.forEach((strip) => strip.show(key, visible)),
@@ -140,6 +141,7 @@ export class ChartStack {
   }
 
   private renderControls(view: View): void {
+    if (this.pressed) return; // a control that appears would move the chart under the pointer
     setAttribute(byId("pause"), "aria-pressed", String(view.paused));
     setText(byId("pause-text"), view.paused ? "Go on" : "Pause");
     setData(byId("charts"), "paused", String(view.paused));
@@ -172,13 +174,16 @@ export class ChartStack {
       onCursor: (chart) => setText(readout, this.readoutAt(chart, spec, scale.readout)),
       onPress: () => {
         this.pausedBefore = this.view?.paused ?? false;
-        this.look((view) => view.pause());
+        this.pressed = true;
+        this.view?.pause();
       },
-      onRelease: (marked) =>
+      onRelease: (marked) => {
+        this.pressed = false;
         this.look((view) => {
           if (marked) view.show(marked.fromS * view.rateHz, marked.toS * view.rateHz);
           else if (!this.pausedBefore) view.goOn();
-        }),
+        });
+      },
     });
   }
 
