@@ -30,9 +30,15 @@ def sharp_service(tmp_path_factory):
 def service(sharp_service):
     yield sharp_service
     sharp_service.http.post("/api/stop")
-    for alarm in sharp_service.http.get("/api/alarms").json():
-        seen = {"by": "the next test", "priority": "high"}
-        sharp_service.http.post(f"/api/alarms/{alarm['id']}/acknowledge", json=seen)
+
+    def quiet():
+        alarms = sharp_service.http.get("/api/alarms").json()
+        for alarm in alarms:
+            seen = {"by": "the next test", "priority": "high"}
+            sharp_service.http.post(f"/api/alarms/{alarm['id']}/acknowledge", json=seen)
+        return not alarms
+
+    until(quiet)
 
 
 def test_a_peak_over_the_limit_stays_until_somebody_acknowledges_it_on_all_pages(service, watch):
@@ -79,6 +85,7 @@ def test_nothing_moves_on_a_tablet_when_an_alarm_comes(service, watch):
 def test_an_alarm_is_on_the_screen_within_200_ms_of_its_sample(service, watch):
     viewer = watch(service.url)
     expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live", timeout=5_000)
+    expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "none")
     viewer.page.evaluate("""() => {
         window.shownAt = {};
         const bar = document.getElementById("alarm-bar");
@@ -87,7 +94,7 @@ def test_an_alarm_is_on_the_screen_within_200_ms_of_its_sample(service, watch):
     }""")
     service.run(protocol="trapezoid_2hz", cycles=1, tissue="bladder")
     expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "high", timeout=5_000)
-    began_ms = service.http.get("/api/alarms").json()[0]["began_ms"]  # when the sample was taken that began it
+    began_ms = min(alarm["began_ms"] for alarm in service.http.get("/api/alarms").json())  # of its sample
     shown_at = until(lambda: viewer.page.evaluate("Object.entries(window.shownAt).filter(([p]) => p !== 'none')"))
     first_ms = min(at_ms for _, at_ms in shown_at)
     assert 0 <= first_ms - began_ms < 200

@@ -118,7 +118,7 @@ def test_who_comes_in_the_middle_of_a_grasp_is_told_how_it_stands(film: Film) ->
     assert 0 < moment - identification["tick"] <= 100
     assert [message["grasp"]["index"] for message in so_far(film, moment, "grasp")] == [1]
     force = [alarm for alarm in so_far(film, moment, "alarm") if alarm["kind"] == "force"]
-    assert [(alarm["priority"], alarm["active"]) for alarm in force] == [("high", True)]
+    assert [alarm["priority"] for alarm in force if alarm["active"]] == ["high"]  # beside peaks that nobody has seen
     assert film.so_far(0) == []
 
 
