@@ -46,13 +46,12 @@ class AlarmBook:
 
     def force(self, change: ForceAlarm, at_ms: float | None = None) -> None:
         """Take a change of the force warning."""
-        before = self._alarms.get(FORCE)
-        if before and before.priority is Priority.HIGH and change.priority != Priority.HIGH:
-            self._keep_peak(before)
         if change.priority is None:
-            self.end(FORCE, at_ms)
+            self.end_force(at_ms)
             return
         priority = Priority(change.priority)
+        if priority is not Priority.HIGH:
+            self._keep_peak()
         whose = change.threshold_tissue.replace("_", " ") if change.threshold_tissue else "lowest of the library"
         words = OVER_TEXT if change.force_n >= change.threshold_n else SHARE_TEXT[priority]
         text = f"{words} ({whose})"
@@ -64,14 +63,15 @@ class AlarmBook:
         if alarm and force_n is not None and alarm.value is not None and force_n > alarm.value:
             self._keep(FORCE, alarm.model_copy(update={"value": force_n}))
 
-    def end_force(self) -> None:
-        """The force is not followed any more: whoever told of it is gone."""
-        if (alarm := self._alarms.get(FORCE)) and alarm.priority is Priority.HIGH:
-            self._keep_peak(alarm)
-        self.end(FORCE)
+    def end_force(self, at_ms: float | None = None) -> None:
+        """The force has fallen, or is not followed any more because whoever told of it is gone."""
+        self._keep_peak()
+        self.end(FORCE, at_ms)
 
-    def _keep_peak(self, alarm: Alarm) -> None:
-        if alarm.acknowledged_by is None:
+    def _keep_peak(self) -> None:
+        """Before the force alarm leaves the high priority."""
+        alarm = self._alarms.get(FORCE)
+        if alarm and alarm.priority is Priority.HIGH and alarm.acknowledged_by is None:
             self.happened(PEAK, AlarmKind.FORCE, f"Peak: {alarm.text}", alarm.began_ms, alarm.value, alarm.limit)
 
     def happened(
