@@ -50,9 +50,12 @@ class SampleBlock:
     """Consecutive samples, `samples` of dtype SAMPLE and shape (n,).
 
     `lost_samples` went missing right before the first one; `sequence` counts blocks, so that a receiver sees gaps.
+    `run` says which run they belong to; empty between runs. With a run's first block everything begins anew: nothing of
+    the samples before it has part in what is made of it.
     """
 
     sequence: int
     t_mono_ns: int
     lost_samples: int
     samples: np.ndarray
+    run: str = ""

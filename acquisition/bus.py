@@ -54,7 +54,8 @@ def subscriber(context: zmq.Context, *addresses: str) -> Any:
 
 
 def pack_samples(block: SampleBlock) -> list[bytes]:
-    header = {"sequence": block.sequence, "t_mono_ns": block.t_mono_ns, "lost_samples": block.lost_samples}
+    names = ("sequence", "t_mono_ns", "lost_samples", "run")
+    header = {name: getattr(block, name) for name in names}
     return [SAMPLES, json.dumps(header).encode(), block.samples.tobytes()]
 
 

@@ -1,9 +1,7 @@
 """One turn of the acquisition: read a block, condition it, judge the force, set the next motor command."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
-
-import numpy as np
 
 from acquisition.blocks import SampleBlock
 from acquisition.limiter import HoldBack, why_stop
@@ -56,7 +54,7 @@ class Acquisition:
         return self._player is not None
 
     def start(self, run_id: str, protocol: Protocol, cycles: int) -> None:
-        """Begin a run: the strain gage is tared during the protocol's lead-in.
+        """Begin a run: everything is measured anew, and the strain gage is tared during the protocol's lead-in.
 
         Raises:
             RefusedError: a run is under way, or the protocol passes the tool's limits.
@@ -64,7 +62,6 @@ class Acquisition:
         if self.running:
             raise RefusedError("A run is under way. Stop it first.")
         player = ProtocolPlayer(protocol, self._tool, cycles)
-        self._pipeline.tare.restart()
         self._run_id, self._player = run_id, player
 
     def allow(self, threshold_n: float, tick: int) -> None:
@@ -91,8 +88,7 @@ class Acquisition:
         raw = self._source.read_block()
         if raw is None:
             return None
-        block = self._pipeline.process(raw)
-        block.samples["flags"] |= np.uint16(self._held)
+        block = self._pipeline.process(replace(raw, limiter=self._held, run=self._run_id if self.running else ""))
         if self._player is not None:
             why = why_stop(self._tool.limits, block.samples) or self._why_not_move(block)
             if why:

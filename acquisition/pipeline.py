@@ -23,10 +23,6 @@ class Tare:
     def __init__(self, calibration: Calibration) -> None:
         self._nominal_v = calibration.rest_offset_v
         self._tolerance_v = calibration.rest_tolerance_v
-        self.restart()
-
-    def restart(self) -> None:
-        """Measure again from the next samples at rest."""
         self._sum_v, self._count, self._over = 0.0, 0, False
 
     @property
@@ -61,12 +57,18 @@ class Pipeline:
     """Conditions one source's blocks in their order; the result does not depend on how samples are cut into blocks."""
 
     def __init__(self, tool: Tool, conditioning: Conditioning) -> None:
-        self._tool = tool
-        self._low_pass = LowPass(conditioning, tool.board.sample_rate_hz)
-        self._tracker = GraspTracker(tool.contact, tool.calibration.encoder_deg_per_volt)
-        self.tare = Tare(tool.calibration)
+        self._tool, self._conditioning = tool, conditioning
         self._saturated_v = 0.999 * tool.channels.analog_range_v
         self._sequence = 0
+        self._run = ""
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """A run is measured for itself: what came before it has no part in it, so that it can be repeated."""
+        tool = self._tool
+        self._low_pass = LowPass(self._conditioning, tool.board.sample_rate_hz)
+        self._tracker = GraspTracker(tool.contact, tool.calibration.encoder_deg_per_volt)
+        self.tare = Tare(tool.calibration)
         self._displacements = np.full(KEPT_DISPLACEMENTS, np.nan)
         self._contact_of = 0
         self._contact_m = np.nan
@@ -74,6 +76,9 @@ class Pipeline:
     def process(self, raw: RawBlock) -> SampleBlock:
         """Calibrated, conditioned and segmented samples of one raw block."""
         n = len(raw)
+        if raw.run and raw.run != self._run:
+            self._begin_anew()
+        self._run = raw.run
         rest_v = self.tare.update(raw.strain_v, raw.motor_command_v)
         samples = np.zeros(n, SAMPLE)
         samples["tick"] = raw.first_tick + np.arange(n)
@@ -91,11 +96,12 @@ class Pipeline:
         samples["newton_per_volt"], samples["metre_per_volt"] = jaw.newton_per_volt[0], jaw.metre_per_volt[0]
         samples["flags"] |= np.where(jaw.valid[0], NOTHING, INVALID)
         samples["flags"] |= np.where(jaw.valid[1], NOTHING, FILTERED_INVALID)
+        samples["flags"] |= np.asarray(raw.limiter, np.uint16)
         samples["flags"] |= np.where(np.abs(raw.strain_v) < self._saturated_v, NOTHING, SATURATED)
         samples["tissue_displacement_m"] = self._since_contact(samples)
 
         self._sequence += 1
-        return SampleBlock(self._sequence, raw.t_mono_ns, raw.lost_samples, samples)
+        return SampleBlock(self._sequence, raw.t_mono_ns, raw.lost_samples, samples, raw.run)
 
     def _segment(self, samples: np.ndarray, rest_v: np.ndarray) -> np.ndarray:
         """Follow the grasp sample by sample; returns the encoder's zero for each sample, degrees."""

@@ -13,6 +13,7 @@ class RawBlock:
 
     `first_tick` counts samples since the source was opened, lost ones included, so that a gap is
     visible as `first_tick` running ahead; `lost_samples` says how many went missing right before.
+    `limiter` holds the limiter's flags of each sample, or of all; `run` says which run they belong to, if any.
     """
 
     first_tick: int
@@ -23,6 +24,8 @@ class RawBlock:
     touch_1_v: np.ndarray
     touch_2_v: np.ndarray
     lost_samples: int = 0
+    limiter: np.ndarray | int = 0
+    run: str = ""
 
     def __len__(self) -> int:
         return len(self.strain_v)

@@ -145,7 +145,7 @@ def replay(
 
     Example: graspwatch replay liver4Hz1.lvm.gz --json
     """
-    from acquisition.recording import read_lvm
+    from acquisition.recordings.lvm import read_lvm
 
     settings = load_settings(config)
     profiles, rig = load_library(library or settings.library), load_tool(tool)

@@ -8,7 +8,7 @@ from typing import Any
 from acquisition.control import Acquisition, RunEnd, RunEnded
 from acquisition.limiter import HoldBack
 from acquisition.pipeline import Pipeline
-from acquisition.recording import Recording
+from acquisition.recordings.playing import Recording
 from acquisition.tools import open_tool
 from config.schema import Protocol, Settings, TissueLibrary, Tool
 from estimator.blocks import GraspRecord

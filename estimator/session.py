@@ -70,6 +70,7 @@ class EstimationSession:
     """The estimator's whole state. Call `process` with each block in its order, `finish` after the last."""
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
+        self._tool = tool
         self._rate_hz = tool.board.sample_rate_hz
         self._thresholds = {name: library.threshold_n(name) for name in library.tissues}
         self._lowest_n = library.lowest_threshold_n
@@ -81,8 +82,13 @@ class EstimationSession:
         self._warnings = ForceWarnings(settings.warnings)
         self._dtype = estimate_dtype(len(library.tissues))
         self._contact = tool.contact
+        self._run = ""
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """As if nothing had been seen before; force warnings go on, as the force does."""
         self._recent = np.zeros(0, SAMPLE)
-        self._rest = RestNoise(tool)
+        self._rest = RestNoise(self._tool)
         self._strain_var_v2 = self._rest.variance_v2()  # as measured before the grasp under way
         self._forecast = Forecast(self._rate_hz)
         self._kept_samples = max(2 * BACKDATE_SAMPLES, self._forecast.samples)
@@ -98,6 +104,12 @@ class EstimationSession:
 
     def process(self, block: SampleBlock) -> EstimateBlock:
         """Estimates, identification, finished grasps and alarms for one block."""
+        ended: list[GraspRecord] = []
+        if block.run and block.run != self._run:
+            cut_short = self.finish()
+            ended += [cut_short] if cut_short else []
+            self._begin_anew()
+        self._run = block.run
         n, kept = len(block.samples), len(self._recent)
         window = np.empty(kept + n, SAMPLE)
         window[:kept], window[kept:] = self._recent, block.samples
@@ -105,7 +117,6 @@ class EstimationSession:
         estimates = blank_estimates(self._dtype, block.samples["tick"])
         if self._in_grasp and self._grasp:
             self._grasp.lost_samples += int(block.samples["tick"][0]) - self._last_tick - 1
-        ended: list[GraspRecord] = []
         alarms: list[ForceAlarm] = []
         withdrawn: list[Withdrawal] = []
         ends = [*(np.flatnonzero(np.diff(block.samples["tick"] // STEP_SAMPLES)) + 1).tolist(), n]

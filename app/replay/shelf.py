@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from acquisition.recording import Recording
+from acquisition.recordings.playing import Recording
 from app.aside import Tell, run_aside
 from app.plan import ServicePlan
 from app.wire import RecordingInfo, Recordings

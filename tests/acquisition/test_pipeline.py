@@ -15,7 +15,7 @@ from simulation import SIGNALS, cut, joined, raw_block, simulate_raw
 from acquisition.blocks import SAMPLE, Flag, SampleBlock
 from acquisition.calibration import from_jaw
 from acquisition.pipeline import Pipeline
-from acquisition.recording import Recording
+from acquisition.recordings.playing import Recording
 from acquisition.source import RawBlock
 from config.load import load_protocol, load_tool
 from config.schema import Conditioning, Tool
@@ -199,8 +199,7 @@ def test_a_new_run_tares_anew_what_drifted_since() -> None:
     pipeline = Pipeline(TOOL, Conditioning())
     pipeline.process(raw_block(np.full(400, 0.82)))
     drifted = pipeline.process(raw_block(np.full(400, 0.85))).samples
-    pipeline.tare.restart()
-    tared = pipeline.process(raw_block(np.full(400, 0.85))).samples
+    tared = pipeline.process(replace(raw_block(np.full(400, 0.85)), run="next")).samples
     assert drifted["jaw_force_n"][-1] > 0.18  # 30 mV at 6.2 N/V
     assert abs(tared["jaw_force_n"][-1]) < 1e-12
 

@@ -15,7 +15,7 @@ from simulation import joined, simulate_raw, write_lvm
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from acquisition.recording import read_lvm
+from acquisition.recordings.lvm import read_lvm
 from app.headless import replay_recording
 from config.load import CONFIG_DIR, load_library, load_settings, load_tool
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulation import cut, joined, lvm_text, simulate_raw
 
-from acquisition.recording import read_lvm
+from acquisition.recordings.lvm import read_lvm
 from app.frames import channels
 from app.headless import replay_recording
 from app.replay import filming

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from simulation import LVM_COLUMNS, SIGNALS, joined, lvm_text, raw_block, simulate_raw, write_lvm
 
 from acquisition.pipeline import Pipeline
-from acquisition.recording import Recording, read_lvm
+from acquisition.recordings.lvm import read_lvm
+from acquisition.recordings.playing import Recording
 from acquisition.source import RawBlock
 from config.errors import RecordingError
 from config.load import load_tool

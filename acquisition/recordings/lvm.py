@@ -1,21 +1,16 @@
-"""Recordings of the lab's LabVIEW program (`.lvm`, `.lvm.gz`) as a source of raw blocks."""
+"""Recordings of the lab's LabVIEW program: `.lvm`, `.lvm.gz`."""
 
 import contextlib
 import gzip
 import io
-import time
 import zlib
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
-from acquisition.source import RawBlock
 from config.errors import RecordingError
 from config.schema import Tool
 
-BLOCK_SAMPLES = 100
 END_OF_HEADER = "***End_of_Header***"
 ENCODER_HEADER = "Untitled"  # the lab's name for the counter channel
 
@@ -157,53 +152,3 @@ def _check_time(path: Path, time_s: np.ndarray, line_numbers: list[int], rate_hz
             f"{path}, line {line_numbers[bad[0] + 1]}: time goes from {time_s[bad[0]]:.6f} to "
             f"{time_s[bad[0] + 1]:.6f} s; expected steps of {1 / rate_hz:g} s."
         )
-
-
-class Recording:
-    """A recording as a source; `speed` 1 plays it in real time, None as fast as it is read."""
-
-    def __init__(self, path: Path, tool: Tool, speed: float | None = None) -> None:
-        self.path = path
-        self._table = read_lvm(path, tool)
-        self._rate_hz = tool.board.sample_rate_hz
-        self._ticks = np.round((self._table[:, 0] - self._table[0, 0]) * self._rate_hz).astype(np.int64)
-        self._speed = speed
-        self._block = BLOCK_SAMPLES if speed is None else tool.board.block_samples
-        self._at = 0
-        self._started = 0.0
-
-    def __enter__(self) -> Self:
-        self._started = time.monotonic()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return
-
-    @property
-    def samples(self) -> int:
-        return len(self._table)
-
-    @property
-    def duration_s(self) -> float:
-        return float(self._ticks[-1] + 1) / self._rate_hz
-
-    def read_block(self) -> RawBlock | None:
-        """The next samples up to a gap; None at the end."""
-        if self._at >= len(self._table):
-            return None
-        end = min(self._at + self._block, len(self._table))
-        ticks = self._ticks[self._at : end]
-        whole = int(np.argmax(ticks - ticks[0] != np.arange(len(ticks)))) or len(ticks)
-        end = self._at + whole
-        lost = int(ticks[0] - self._ticks[self._at - 1] - 1) if self._at else 0
-        rows = self._table[self._at : end]
-        self._at = end
-        if self._speed is not None:
-            due = self._started + (int(ticks[0]) + whole) / self._rate_hz / self._speed
-            time.sleep(max(due - time.monotonic(), 0.0))
-        return RawBlock(int(ticks[0]), time.monotonic_ns(), rows[:, 1], rows[:, 5], *rows[:, 2:5].T, lost_samples=lost)
-
-    def write_command(self, command_v: float) -> None:
-        """A recording's motor has long stopped."""

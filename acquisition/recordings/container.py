@@ -1,0 +1,261 @@
+"""Reads an MCAP file of ours, whole or cut off: what it is about, what is attached, rows of numbers, messages.
+
+The records are read by the `mcap` package; the rows inside a chunk, which are many and of one length, by numpy.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
+from mcap.stream_reader import CRCValidationError, StreamReader, get_chunk_data_stream
+
+from acquisition.recordings.layout import ABOUT, ENDED, FORMAT_VERSION, PROFILE
+from acquisition.recordings.rows import RowLayout
+from config.errors import RecordingError
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD_LIMIT_BYTES = 256 * 2**20  # a record of ours has a few; a damaged length must not ask for all memory
+MESSAGE_HEAD = np.dtype(
+    [
+        ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
+        ("log_ns", "<u8"), ("publish_ns", "<u8"),
+    ]
+)  # fmt: skip
+_DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+ANOTHER_COPY = "Copy it again from where it was recorded."
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Consecutive rows of one topic: columns of shape (n,) by their path, the number of each row's block, its time."""
+
+    topic: str
+    columns: dict[str, np.ndarray]
+    sequence: np.ndarray
+    log_ns: np.ndarray
+    publish_ns: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One JSON message."""
+
+    topic: str
+    log_ns: int
+    content: bytes
+
+
+@dataclass(slots=True)
+class _Channels:
+    """What was declared so far: a file declares everything before it uses it."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    topics: dict[int, str] = field(default_factory=dict)
+    layouts: dict[int, RowLayout] = field(default_factory=dict)  # by channel; a channel of JSON has none
+
+    def declare(self, record: Schema | Channel) -> None:
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+        elif record.id not in self.topics:
+            self.topics[record.id] = record.topic
+            if record.message_encoding == "protobuf":
+                schema = self.schemas[record.schema_id]
+                self.layouts[record.id] = RowLayout.of_schema(schema.name, schema.data)
+
+
+class _Whole:
+    """A file whose reads never come short in silence: what was cut off ends there."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def read(self, size: int) -> bytes:
+        data = self._file.read(size)
+        if len(data) < size:
+            raise EndOfFile
+        return data
+
+
+class Container:
+    """An MCAP file of ours. `about` and `attachments` are read at once, everything else when it is asked for."""
+
+    def __init__(self, path: Path) -> None:
+        """
+        Raises:
+            RecordingError: it cannot be read, is no MCAP file, not one of ours, or of a later format.
+        """
+        self.path = path
+        self.about: dict[str, str] = {}
+        self.ended: dict[str, str] = {}
+        self.attachments: dict[str, bytes] = {}
+        self.message_counts: dict[str, int] = {}
+        profile = ""
+        for record in self._records():
+            match record:
+                case Header():
+                    profile = record.profile
+                case Metadata() if record.name == ABOUT:
+                    self.about = record.metadata
+                case Attachment():
+                    self.attachments[record.name] = record.data
+                case Chunk():
+                    break
+        self._check(profile)
+        self.complete = self._read_end()
+
+    def _check(self, profile: str) -> None:
+        if profile != PROFILE:
+            what = f"its profile is {profile!r}" if profile else "it names no profile"
+            raise RecordingError(f"{self.path}: is an MCAP file, but no recording of Graspwatch ({what}).")
+        version = self.about.get("format_version", "")
+        if version.isdigit() and int(version) > FORMAT_VERSION:
+            raise RecordingError(
+                f"{self.path}: was recorded by a later Graspwatch ({self.about.get('graspwatch', '?')}, format "
+                f"{version}; this one reads up to {FORMAT_VERSION}). Update Graspwatch."
+            )
+        if not version.isdigit():
+            raise RecordingError(f"{self.path}: holds no description of what was recorded. {ANOTHER_COPY}")
+
+    def _read_end(self) -> bool:
+        """Take the summary; False where the file was cut off before it was written."""
+        try:
+            with self.path.open("rb") as file:
+                file.seek(-len(MAGIC), 2)
+                if file.read() != MAGIC:
+                    return False
+                file.seek(-len(MAGIC) - 29, 2)  # opcode, length, and the footer's three numbers
+                opcode, _, summary_start, _, _ = struct.unpack("<BQQQI", file.read(29))
+                if opcode != Opcode.FOOTER or not summary_start:
+                    return False
+                file.seek(summary_start)
+                self._read_summary(file)
+        except (OSError, EndOfFile, McapError, ValueError) as error:
+            raise RecordingError(f"{self.path}: its end is damaged ({error}). {ANOTHER_COPY}") from None
+        return True
+
+    def _read_summary(self, file: BinaryIO) -> None:
+        topics: dict[int, str] = {}
+        ended_at = 0
+        for record in StreamReader(file, skip_magic=True, record_size_limit=RECORD_LIMIT_BYTES).records:
+            match record:
+                case Channel():
+                    topics[record.id] = record.topic
+                case Statistics():
+                    counts = record.channel_message_counts
+                    self.message_counts = {topic: counts.get(channel, 0) for channel, topic in topics.items()}
+                case _ if getattr(record, "name", "") == ENDED:
+                    ended_at = record.offset
+                case Footer():
+                    break
+        if ended_at:
+            file.seek(ended_at)
+            self.ended = next(iter(StreamReader(file, skip_magic=True).records)).metadata
+
+    def _records(self) -> Iterator[McapRecord]:
+        """All records in their order, to the file's end or to where it was cut off.
+
+        Raises:
+            RecordingError: the file is damaged; names the place.
+        """
+        try:
+            with self.path.open("rb") as file:
+                if not file.peek(1):
+                    raise RecordingError(f"{self.path}: is empty. {ANOTHER_COPY}")
+                reader = StreamReader(_Whole(file), emit_chunks=True, record_size_limit=RECORD_LIMIT_BYTES)
+                yield from reader.records
+        except InvalidMagic:
+            raise RecordingError(f"{self.path}: is no MCAP file, or its end was overwritten. {ANOTHER_COPY}") from None
+        except EndOfFile:
+            return
+        except FileNotFoundError:
+            raise RecordingError(f"{self.path}: there is no such file. Check the path.") from None
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be read ({error.strerror}).") from None
+        except (McapError, RecordLengthLimitExceeded, ValueError, struct.error) as error:
+            raise RecordingError(f"{self.path}: is damaged ({error}). {ANOTHER_COPY}") from None
+
+    def read(self, *topics: str) -> Iterator[Rows | Told]:
+        """What stands in the file under these topics, in the order in which it was written, of every whole chunk.
+
+        Raises:
+            RecordingError: the file is damaged; names the place.
+        """
+        wanted = set(topics)
+        channels = _Channels()
+        for number, record in enumerate(record for record in self._records() if isinstance(record, Chunk)):
+            try:
+                stream, size = get_chunk_data_stream(record, validate_crc=True)
+                yield from _in_chunk(stream.read(size), channels, wanted)
+            except (CRCValidationError, ValueError, KeyError, McapError, struct.error, IndexError) as error:
+                raise RecordingError(
+                    f"{self.path}: piece {number + 1} of its samples is damaged ({error}). {ANOTHER_COPY}"
+                ) from None
+
+    def rows(self, topic: str) -> Rows:
+        """All rows of one topic.
+
+        Raises:
+            RecordingError: the file is damaged, or holds none.
+        """
+        pieces = [piece for piece in self.read(topic) if isinstance(piece, Rows)]
+        if not pieces:
+            raise RecordingError(f"{self.path}: holds no samples ({topic}): it was cut off before the first second.")
+        return joined(pieces)
+
+
+def joined(pieces: list[Rows]) -> Rows:
+    """Rows of one topic, one after the other."""
+    columns = {name: np.concatenate([each.columns[name] for each in pieces]) for name in pieces[0].columns}
+    others = [np.concatenate([getattr(each, name) for each in pieces]) for name in ("sequence", "log_ns", "publish_ns")]
+    return Rows(pieces[0].topic, columns, *others)
+
+
+def _in_chunk(data: bytes, channels: _Channels, wanted: set[str]) -> Iterator[Rows | Told]:
+    """The wanted content of a chunk; declarations in it are noted."""
+    at, head_bytes = 0, MESSAGE_HEAD.itemsize
+    while at < len(data):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        end = at + 9 + length
+        if end > len(data):
+            raise ValueError("a record goes beyond its end")
+        if opcode != Opcode.MESSAGE:
+            if opcode in _DECLARED:
+                channels.declare(_DECLARED[opcode].read(ReadDataStream(BytesIO(data[at + 9 : end]))))
+            at = end
+            continue
+        channel = int.from_bytes(data[at + 9 : at + 11], "little")
+        layout = channels.layouts.get(channel)
+        topic = channels.topics[channel]
+        if layout is None:
+            if topic in wanted:
+                message = np.frombuffer(data, MESSAGE_HEAD, 1, at)[0]
+                yield Told(topic, int(message["log_ns"]), data[at + head_bytes : end])
+            at = end
+            continue
+        rows = np.frombuffer(data, _record(layout), (len(data) - at) // (end - at), at)
+        head = rows["head"]
+        alike = (head["opcode"] == opcode) & (head["length"] == length) & (head["channel"] == channel)
+        count = len(rows) if alike.all() else int(np.argmin(alike))
+        if length != head_bytes - 9 + layout.row_bytes:
+            raise ValueError(f"a message of {topic} has another length than its schema says")
+        if topic in wanted:
+            rows, head = rows[:count], head[:count]
+            columns = layout.decode(rows["row"].tobytes())
+            yield Rows(topic, columns, *(head[name].copy() for name in ("sequence", "log_ns", "publish_ns")))
+        at += count * (end - at)
+
+
+def _record(layout: RowLayout) -> np.dtype:
+    """A message record: its head and a row."""
+    return np.dtype([("head", MESSAGE_HEAD), ("row", f"V{layout.row_bytes}")])

@@ -1,0 +1,153 @@
+"""A recording as a source: its raw samples, block by block, as the board gave them."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from pydantic import ValidationError
+
+from acquisition.recordings.container import MAGIC, Container
+from acquisition.recordings.layout import RAW, RAW_ROWS, SIGNALS, TOOL
+from acquisition.recordings.lvm import read_lvm
+from acquisition.source import RawBlock
+from config.errors import RecordingError
+from config.schema import Tool
+
+BLOCK_SAMPLES = 100
+STEP_SAMPLES = 5  # whoever follows works in steps that end at ticks that are multiples of this, and at a block's end
+
+
+@dataclass(frozen=True, slots=True)
+class _Recorded:
+    """Raw samples. Ticks count from the recording's first sample.
+
+    `signals`: of shape (5, n), in the order of SIGNALS; `limiter`: the limiter's flags, (n,); `ends`: rows behind which
+    a block ended where nothing else tells it; `runs`: for each row at which a run begins, which.
+    """
+
+    ticks: np.ndarray
+    signals: np.ndarray
+    limiter: np.ndarray
+    ends: np.ndarray
+    runs: dict[int, str]
+
+
+class Recording:
+    """A recording of either kind; `speed` 1 plays it in real time, None as fast as it is read.
+
+    `tool` is the one it was recorded with: it stands in an MCAP file, and is named by the caller for LabVIEW's.
+    """
+
+    def __init__(self, path: Path, tool: Tool, speed: float | None = None) -> None:
+        """
+        Raises:
+            RecordingError: the file cannot be read, or is no recording; names the place.
+        """
+        self.path = path
+        self.container = Container(path) if _is_mcap(path) else None
+        self.first_tick = 0  # of an MCAP file: what its own ticks count from
+        self.tool = tool if self.container is None else tool_of(self.container)
+        self._recorded = self._read()
+        self._rate_hz = self.tool.board.sample_rate_hz
+        self._speed = speed
+        self._block = BLOCK_SAMPLES if speed is None else self.tool.board.block_samples
+        self._at = 0
+        self._run = ""
+        self._started = 0.0
+
+    def _read(self) -> _Recorded:
+        if self.container is None:
+            table = read_lvm(self.path, self.tool)
+            ticks = np.round((table[:, 0] - table[0, 0]) * self.tool.board.sample_rate_hz).astype(np.int64)
+            signals = np.ascontiguousarray(table[:, [1, 5, 2, 3, 4]].T)
+            return _Recorded(ticks, signals, np.zeros(len(ticks), np.uint16), np.zeros(0, np.int64), {})
+        rows = self.container.rows(RAW)
+        missing = {column.path for column in RAW_ROWS.columns} - set(rows.columns)
+        if missing:
+            raise RecordingError(f"{self.path}: lacks {', '.join(sorted(missing))}: not all that a replay needs.")
+        ticks, about = rows.columns["tick"], self.container.about
+        if (np.diff(ticks) < 1).any():
+            raise RecordingError(f"{self.path}: its samples are not in the order of time.")
+        self.first_tick = int(ticks[0] - ticks[0] % STEP_SAMPLES)
+        begins = int(np.searchsorted(ticks, int(about["run_first_tick"])))
+        ends = np.flatnonzero(np.diff(rows.sequence)) + 1
+        ends = ends[ticks[ends - 1] % STEP_SAMPLES != STEP_SAMPLES - 1]
+        signals = np.array([rows.columns[name] for name in SIGNALS])
+        runs = {begins: about["run_id"]} if begins < len(ticks) else {}
+        limiter = rows.columns["limiter_flags"].astype(np.uint16)
+        return _Recorded(ticks - self.first_tick, signals, limiter, ends, runs)
+
+    def __enter__(self) -> Self:
+        self._started = time.monotonic()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return
+
+    @property
+    def samples(self) -> int:
+        return len(self._recorded.ticks)
+
+    @property
+    def duration_s(self) -> float:
+        return float(self._recorded.ticks[-1] + 1) / self._rate_hz
+
+    def read_block(self) -> RawBlock | None:
+        """The next samples up to a gap or the beginning of a run; None at the end."""
+        recorded, at = self._recorded, self._at
+        if at >= self.samples:
+            return None
+        self._run = recorded.runs.get(at, self._run)
+        end = self._end_of_block(at)
+        ticks = recorded.ticks[at:end]
+        whole = int(np.argmax(ticks - ticks[0] != np.arange(len(ticks)))) or len(ticks)
+        self._at = end = at + whole
+        lost = int(ticks[0] - recorded.ticks[at - 1] - 1) if at else 0
+        if self._speed is not None:
+            due = self._started + (int(ticks[0]) + whole) / self._rate_hz / self._speed
+            time.sleep(max(due - time.monotonic(), 0.0))
+        return RawBlock(
+            int(ticks[0]), time.monotonic_ns(), *recorded.signals[:, at:end], lost_samples=lost,
+            limiter=recorded.limiter[at:end], run=self._run,
+        )  # fmt: skip
+
+    def _end_of_block(self, at: int) -> int:
+        """Row behind the block that begins at this row; blocks end where steps do."""
+        recorded = self._recorded
+        end = min(at + self._block, self.samples)
+        if end < self.samples:
+            end = max(end - int(recorded.ticks[end] + self.first_tick) % STEP_SAMPLES, at + 1)
+        own = int(np.searchsorted(recorded.ends, at, "right"))
+        stops = [*recorded.ends[own : own + 1].tolist(), *(row for row in recorded.runs if row > at)]
+        return min([end, *stops])
+
+    def write_command(self, command_v: float) -> None:
+        """A recording's motor has long stopped."""
+
+
+def tool_of(container: Container) -> Tool:
+    """The tool that a file was recorded with.
+
+    Raises:
+        RecordingError: the file does not hold it, or not as this version describes tools.
+    """
+    try:
+        return Tool.model_validate_json(container.attachments[TOOL])
+    except (KeyError, ValidationError) as error:
+        why = str(error).splitlines()[0]
+        raise RecordingError(f"{container.path}: the tool it was recorded with cannot be read ({why}).") from None
+
+
+def _is_mcap(path: Path) -> bool:
+    """By its beginning, or by its name where it has none."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(MAGIC))
+    except OSError:
+        start = b""
+    return start == MAGIC or path.suffix == ".mcap"

@@ -1,0 +1,143 @@
+"""Rows of numbers as protobuf messages of a fixed layout.
+
+Every field of a message is fixed in width and always written, so that all messages of a channel have the same length
+and numpy encodes and decodes thousands at a time; to a protobuf reader they are messages like any other.
+Encoding: https://protobuf.dev/programming-guides/encoding/
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+
+PACKAGE = "graspwatch"
+_FIXED32, _FIXED64, _GROUP = 5, 1, 2  # wire types
+_WIRE = {"<f8": (FieldDescriptorProto.TYPE_DOUBLE, _FIXED64), "<i8": (FieldDescriptorProto.TYPE_SFIXED64, _FIXED64),
+         "<u4": (FieldDescriptorProto.TYPE_FIXED32, _FIXED32)}  # fmt: skip
+_DTYPE = {field_type: dtype for dtype, (field_type, _) in _WIRE.items()}
+TAG = "tag_"
+
+Columns = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One number of a row; `kind` is `f8`, `i8` or `u4`. With `group`, it stands in a message of that name inside."""
+
+    name: str
+    kind: str = "f8"
+    group: str = ""
+
+    @property
+    def path(self) -> str:
+        return f"{self.group}.{self.name}" if self.group else self.name
+
+
+class RowLayout:
+    """A kind of row: its columns, its protobuf schema, and how both lie in memory."""
+
+    def __init__(self, name: str, columns: Sequence[Column]) -> None:
+        """`columns` of one group stand together; names are identifiers."""
+        self.name, self.columns = name, tuple(columns)
+        file = FileDescriptorProto(name=f"{PACKAGE}/{name.lower()}.proto", package=PACKAGE, syntax="proto3")
+        message = file.message_type.add(name=name)
+        self._dtype, template = _lay_out(self.columns, message)
+        self._template = template.view(self._dtype)[0]
+        self.descriptor_set = FileDescriptorSet(file=[file]).SerializeToString()
+
+    @classmethod
+    def of_schema(cls, name: str, descriptor_set: bytes) -> Self:
+        """The layout of messages that were written with this schema.
+
+        Raises:
+            ValueError: it is not the schema of such rows.
+        """
+        message = FileDescriptorSet.FromString(descriptor_set).file[0].message_type[0]
+        inner = {nested.name: nested for nested in message.nested_type}
+        columns = []
+        for field in message.field:
+            if field.type == FieldDescriptorProto.TYPE_MESSAGE:
+                nested = inner[field.type_name.rpartition(".")[2]]
+                columns += [Column(each.name, _DTYPE[each.type][1:], field.name) for each in nested.field]
+            else:
+                columns.append(Column(field.name, _DTYPE[field.type][1:]))
+        layout = cls(name.removeprefix(f"{PACKAGE}."), columns)
+        if layout.descriptor_set != descriptor_set:
+            raise ValueError(f"{name}: not a schema of rows of fixed layout")
+        return layout
+
+    @property
+    def row_bytes(self) -> int:
+        return self._dtype.itemsize
+
+    def encode(self, columns: Columns) -> bytes:
+        """Rows one after the other, `row_bytes` each, of arrays of shape (n,) by `Column.path`."""
+        rows = np.full(len(next(iter(columns.values()))), self._template)
+        for column in self.columns:
+            rows[column.path] = columns[column.path]
+        return rows.tobytes()
+
+    def decode(self, data: bytes) -> dict[str, np.ndarray]:
+        """Arrays of shape (n,) by `Column.path`.
+
+        Raises:
+            ValueError: these are not rows of this layout.
+        """
+        rows = np.frombuffer(data, self._dtype)
+        for name in self._dtype.names or ():
+            if name.startswith(TAG) and (rows[name] != self._template[name]).any():
+                raise ValueError(f"{self.name}: a message has another layout than its schema says")
+        return {column.path: rows[column.path] for column in self.columns}
+
+
+def _lay_out(columns: tuple[Column, ...], message: DescriptorProto) -> tuple[np.dtype, np.ndarray]:
+    """How a row lies in memory, and one with all tags and no values; fills the schema of `message`."""
+    fields: list[tuple[str, str]] = []
+    template = b""
+    groups: dict[str, DescriptorProto] = {}
+    for column in columns:
+        owner = message
+        if column.group:
+            if column.group not in groups:
+                inner = [each for each in columns if each.group == column.group]
+                head = _head(message, column.group, sum(_size(each, n) for n, each in enumerate(inner, 1)))
+                fields.append((f"{TAG}{column.group}", f"V{len(head)}"))
+                template += head
+                groups[column.group] = message.nested_type[-1]
+            owner = groups[column.group]
+        field_type, wire_type = _WIRE[f"<{column.kind}"]
+        number = len(owner.field) + 1
+        tag = _varint(number << 3 | wire_type)
+        owner.field.add(
+            name=column.name, number=number, type=field_type, label=FieldDescriptorProto.LABEL_OPTIONAL
+        )  # fmt: skip
+        fields += [(f"{TAG}{column.path}", f"V{len(tag)}"), (column.path, f"<{column.kind}")]
+        template += tag + bytes(np.dtype(column.kind).itemsize)
+    return np.dtype(fields), np.frombuffer(template, np.uint8)
+
+
+def _head(message: DescriptorProto, group: str, size: int) -> bytes:
+    """Declare a message inside `message`; returns its tag and length."""
+    kind = "".join(part.capitalize() for part in group.split("_"))
+    message.nested_type.add(name=kind)
+    number = len(message.field) + 1
+    message.field.add(
+        name=group, number=number, type=FieldDescriptorProto.TYPE_MESSAGE,
+        type_name=f".{PACKAGE}.{message.name}.{kind}", label=FieldDescriptorProto.LABEL_OPTIONAL,
+    )  # fmt: skip
+    return _varint(number << 3 | _GROUP) + _varint(size)
+
+
+def _size(column: Column, number: int) -> int:
+    return len(_varint(number << 3)) + np.dtype(column.kind).itemsize
+
+
+def _varint(value: int) -> bytes:
+    encoded = bytearray()
+    while value > 0x7F:
+        encoded.append(value & 0x7F | 0x80)
+        value >>= 7
+    encoded.append(value)
+    return bytes(encoded)
