@@ -6,7 +6,7 @@ PUB/SUB loses messages silently once a frozen subscriber is full; so every block
 
 import json
 import secrets
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from acquisition.blocks import SAMPLE, SampleBlock
 
 MINUTE_OF_BLOCKS = 12_000  # high-water mark: 200 blocks a second for a minute
 
-SAMPLES, ESTIMATES, NOTICE = b"samples", b"estimates", b"notice"
+SAMPLES, ESTIMATES, NOTICE, TOLD = b"samples", b"estimates", b"notice", b"told"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +28,13 @@ class Endpoints:
     estimates: str
     limits: str
     commands: str
+    events: str
+    recorder: str
 
     @classmethod
     def in_folder(cls, folder: Path) -> "Endpoints":
         tag = secrets.token_hex(4)
-        return cls(*(f"ipc://{folder}/{name}-{tag}" for name in ("samples", "estimates", "limits", "commands")))
+        return cls(*(f"ipc://{folder}/{each.name}-{tag}" for each in fields(cls)))
 
 
 def publisher(context: zmq.Context, address: str) -> zmq.Socket:
@@ -65,6 +67,15 @@ def unpack_samples(parts: list[bytes]) -> SampleBlock:
 
 def pack_notice(kind: str, **content: Any) -> list[bytes]:
     return [NOTICE, json.dumps({"kind": kind, **content}).encode()]
+
+
+def pack_told(topic: str, content: bytes) -> list[bytes]:
+    """What the server told its viewers, for whoever records it."""
+    return [TOLD, topic.encode(), content]
+
+
+def unpack_told(parts: list[bytes]) -> tuple[str, bytes]:
+    return parts[1].decode(), parts[2]
 
 
 def unpack_notice(parts: list[bytes]) -> dict[str, Any]:

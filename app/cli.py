@@ -98,6 +98,9 @@ def run(
     library: LibraryOption = None,
     config: ConfigOption = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="As slow as life, not as fast as it goes.")] = False,
+    record: Annotated[
+        Path | None, typer.Option(metavar="FILE.mcap", help="Write all of it to a new file, to be replayed.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run a protocol on the simulated grasper, without a service, and print what was identified.
@@ -107,6 +110,8 @@ def run(
     settings = load_settings(config)
     profiles, wanted = load_library(library or settings.library), load_protocol(protocol)
     choose(tissue, list(holdable(profiles).tissues), "tissue")
+    if record and record.suffix != ".mcap":
+        raise ConfigurationError(f"--record {record}: the name of a recording ends with .mcap.")
 
     from app.headless import run_protocol  # takes a second: not before the request is known to be sound
 
@@ -115,7 +120,7 @@ def run(
     with _progress(f"{wanted.name} on {tissue}", duration_s) as progress:
         report = run_protocol(
             _simulated_tool(settings), profiles, settings, wanted, tissue,
-            cycles=count, seed=seed, real_time=real_time, progress=progress,
+            cycles=count, seed=seed, real_time=real_time, record=record, progress=progress,
         )  # fmt: skip
     _print_reports([report.document()], as_json)
     if report.failure:
@@ -124,11 +129,19 @@ def run(
 
 @app.command()
 def replay(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="LabVIEW recordings: .lvm or .lvm.gz.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Recordings: .mcap, or LabVIEW's .lvm, .lvm.gz.")],
     library: LibraryOption = None,
     tool: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Tool file with the recording's channels and calibration.")
-    ] = RECORDED_WITH,
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Tool file with channels and calibration; default: the one in an .mcap file, for LabVIEW's "
+            f"{RECORDED_WITH}.",
+        ),
+    ] = None,
+    as_recorded: Annotated[
+        bool, typer.Option("--as-recorded", help="With the library and the settings that stand in the .mcap file.")
+    ] = False,
     speed: Annotated[
         float | None, typer.Option(min=0.01, max=1000, help="Times real time; default: as fast as it goes.")
     ] = None,
@@ -141,19 +154,23 @@ def replay(
 ) -> None:
     """Take recordings through calibration, conditioning, estimation and identification.
 
-    With one FILE, --json prints one document; with several, a list of them.
+    Of an .mcap file the estimates are compared with those recorded, and what differs is said. With one FILE, --json
+    prints one document; with several, a list of them.
 
     Example: graspwatch replay liver4Hz1.lvm.gz --json
     """
-    from acquisition.recordings.lvm import read_lvm
+    from acquisition.recordings.playing import Recording
 
     settings = load_settings(config)
-    profiles, rig = load_library(library or settings.library), load_tool(tool)
+    profiles, rig = load_library(library or settings.library), load_tool(tool or RECORDED_WITH)
+    if as_recorded and (library or config or serve_it):
+        raise ConfigurationError("--as-recorded takes library and settings from the file; leave the others out.")
     for path in files:
-        read_lvm(path, rig)
+        Recording(path, rig)
 
     from app.headless import replay_recording  # takes a second: not before the files are known to be sound
     from app.plan import ServicePlan
+    from app.record.run_file import Rig
 
     if serve_it:
         if as_json or speed is not None:
@@ -164,8 +181,17 @@ def replay(
         return
     documents = []
     for path in files:
+        recording = Recording(path, rig, speed)
+        how = Rig(rig if tool else recording.tool, profiles, settings)
+        if as_recorded:
+            if recording.container is None:
+                raise ConfigurationError(f"{path}: LabVIEW's files hold no library. Leave --as-recorded out.")
+            how = Rig.of_file(recording.container)
         with _progress(path.name, 1.0) as progress:
-            documents.append(replay_recording(path, rig, profiles, settings, speed=speed, progress=progress).document())
+            report = replay_recording(recording, how, progress)
+        documents.append(report.document())
+        if report.comparison:
+            errors.print(report.comparison.text(), soft_wrap=True)
     _print_reports(documents, as_json)
 
 

@@ -10,6 +10,9 @@ from acquisition.limiter import HoldBack
 from acquisition.pipeline import Pipeline
 from acquisition.recordings.playing import Recording
 from acquisition.tools import open_tool
+from app.record.comparing import Comparing, Comparison
+from app.record.headless_file import HeadlessFile
+from app.record.run_file import Rig
 from config.schema import Protocol, Settings, TissueLibrary, Tool
 from estimator.blocks import GraspRecord
 from estimator.session import EstimationSession
@@ -29,9 +32,10 @@ class Report:
     lost_samples: int = 0
     grasps: list[GraspRecord] = field(default_factory=list)
     failure: str | None = None  # why a run ended before its protocol
+    comparison: Comparison | None = None  # of a replay with what was recorded
 
     def document(self) -> dict[str, Any]:
-        return {
+        document = {
             "source": self.source,
             "samples": self.samples,
             "lost_samples": self.lost_samples,
@@ -39,25 +43,31 @@ class Report:
             "library": self.library,
             "grasps": [asdict(grasp) for grasp in self.grasps],
         }
+        if self.comparison:
+            document["recorded"] = self.comparison.document()
+        return document
 
 
 def run_protocol(
     tool: Tool, library: TissueLibrary, settings: Settings, protocol: Protocol, tissue: str, *,
-    cycles: int, seed: int, real_time: bool, progress: Progress,
+    cycles: int, seed: int, real_time: bool, record: Path | None, progress: Progress,
 ) -> Report:  # fmt: skip
-    """Play a protocol on the simulated grasper and identify what it grasps.
+    """Play a protocol on the simulated grasper and identify what it grasps; `record` is the file to write, if any.
 
     Raises:
         RefusedError: the protocol passes the tool's limits.
         ToolError: the board failed.
+        RecordingError: the file exists, or cannot be written.
     """
     report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz)
     session = EstimationSession(tool, library, settings)
     source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
-    with source:
+    run_id = record.stem if record else "run"
+    rig = Rig(tool, library, settings)
+    with source, HeadlessFile(record, rig, run_id, protocol, cycles, tissue) as file:
         hold_back = HoldBack(tool, library, settings.limiter)
         acquisition = Acquisition(source, tool, settings.conditioning, hold_back)
-        acquisition.start("run", protocol, cycles)
+        acquisition.start(run_id, protocol, cycles)
         ended: list[RunEnded] = []
         while not ended:
             block = acquisition.turn()
@@ -66,11 +76,14 @@ def run_protocol(
             report.samples += len(block.samples)
             report.lost_samples += block.lost_samples
             estimate = session.process(block)
+            file.take(block, estimate)
             report.grasps += estimate.ended
             limit = limit_of(estimate.identification)
             acquisition.allow(limit.threshold_n, limit.tick)
             ended = acquisition.take_ended()
             progress(report.samples / tool.board.sample_rate_hz)
+        if ended:
+            file.run_ended(ended[0].end, ended[0].why)
     if last := session.finish():
         report.grasps.append(last)
     if ended and ended[0].end is RunEnd.FAILED:
@@ -78,23 +91,29 @@ def run_protocol(
     return report
 
 
-def replay_recording(
-    path: Path, tool: Tool, library: TissueLibrary, settings: Settings, *, speed: float | None, progress: Progress
-) -> Report:
+def replay_recording(recording: Recording, rig: Rig, progress: Progress) -> Report:
     """Take a recording through calibration, conditioning, estimation and identification.
 
+    Where estimates were recorded, they are compared.
+
     Raises:
-        RecordingError: the file cannot be read; names file and line.
+        RecordingError: the file is damaged; names the place.
     """
-    report = Report(str(path), library.name, tool.board.sample_rate_hz)
+    tool, library, settings = rig.tool, rig.library, rig.settings
+    report = Report(str(recording.path), library.name, tool.board.sample_rate_hz)
     pipeline = Pipeline(tool, settings.conditioning)
     session = EstimationSession(tool, library, settings)
-    with Recording(path, tool, speed) as recording:
+    comparing = Comparing(recording.container, rig, recording.first_tick) if recording.container else None
+    with recording:
         while (raw := recording.read_block()) is not None:
             report.samples += len(raw)
             report.lost_samples += raw.lost_samples
-            report.grasps += session.process(pipeline.process(raw)).ended
+            estimate = session.process(pipeline.process(raw))
+            report.grasps += estimate.ended
+            if comparing:
+                comparing.take(estimate.estimates)
             progress(report.samples / recording.samples)
     if last := session.finish():
         report.grasps.append(last)
+    report.comparison = comparing.result if comparing else None
     return report

@@ -15,10 +15,12 @@ KEPT = 2_000
 class Journal:
     """Appends to a file. A file that cannot be written is told once, and the lines go on in memory."""
 
-    def __init__(self, folder: Path, on_fault: Callable[[str | None], None]) -> None:
-        """`on_fault` hears what is wrong with the file, and None once it can be written again."""
+    def __init__(
+        self, folder: Path, on_fault: Callable[[str | None], None], on_entry: Callable[[JournalEntry], None]
+    ) -> None:
+        """`on_fault` hears what is wrong with the file, and None once it can be written; `on_entry` every line."""
         self._path = folder / "journal.jsonl"
-        self._on_fault = on_fault
+        self._on_fault, self._on_entry = on_fault, on_entry
         self._sound = True
         self._entries: deque[JournalEntry] = deque(maxlen=KEPT)
 
@@ -26,6 +28,7 @@ class Journal:
         """`facts`: other fields of `JournalEntry`."""
         entry = JournalEntry(at=datetime.now(UTC).isoformat(timespec="milliseconds"), kind=kind, text=text, **facts)
         self._entries.append(entry)
+        self._on_entry(entry)
         logging.getLogger("graspwatch").info("%s: %s", kind.value, text)
         try:
             with self._path.open("a", encoding="utf-8") as file:

@@ -8,7 +8,8 @@ from config.schema import Settings, TissueLibrary, Tool
 
 @dataclass(frozen=True, slots=True)
 class ServicePlan:
-    """`data` is the folder for everything that is kept. `recorded_with` is the tool file of recordings.
+    """`data` is the folder for everything that is kept. `recorded_with` is the tool file of recordings that
+    name none.
 
     With `opened` there is no tool: the service only shows these recordings. `demo` repeats a protocol on each tissue in
     turn.

@@ -43,12 +43,14 @@ class RunBook:
     def grasps(self, run_id: str) -> list[Grasp]:
         return self._entries[run_id].grasps
 
-    def begin(self, protocol: str, cycles: int, tissue: str | None, by: str | None, start_tick: int) -> Run:
-        """A new run, under way from now on; its grasps begin after `start_tick`."""
+    def begin(
+        self, protocol: str, cycles: int, tissue: str | None, by: str | None, start_tick: int, prefix: str = ""
+    ) -> Run:
+        """A new run, under way from now on; its grasps begin after `start_tick`, its id with `prefix`."""
         self._count += 1
         now = datetime.now(UTC)
         run = Run(
-            id=f"{now:%Y%m%d-%H%M%S}-{self._count:03d}", protocol=protocol, cycles=cycles, tissue=tissue, by=by,
+            id=f"{prefix}{now:%Y%m%d-%H%M%S}-{self._count:03d}", protocol=protocol, cycles=cycles, tissue=tissue, by=by,
             state=RunState.RUNNING, started_at=now.isoformat(), ended_at=None, why=None, grasps=0,
         )  # fmt: skip
         self._entries[run.id] = _Entry(run, start_tick, self._epoch)

@@ -11,6 +11,7 @@ from typing import Any
 
 import zmq
 import zmq.asyncio
+from pydantic import BaseModel
 
 from acquisition import bus
 from acquisition.blocks import SampleBlock
@@ -23,6 +24,8 @@ from app.journal import Journal
 from app.live import Hub
 from app.metrics import Metrics
 from app.plan import ServicePlan
+from app.record.link import RecorderLink
+from app.record.recorder import DEMONSTRATION, Brief
 from app.runs import RunBook
 from app.supervisor import Condition, Supervisor
 from app.teller import Teller
@@ -48,8 +51,8 @@ class Station:
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
         self.metrics = Metrics()
         self.hub = Hub(plan.settings.server.chart_window_frames)
-        self.journal = Journal(plan.data, self._on_journal)
-        self.alarms = AlarmBook(self.hub.broadcast, self.journal)
+        self.journal = Journal(plan.data, self._on_journal, self._keep)
+        self.alarms = AlarmBook(self._tell, self.journal)
         self.supervisor = Supervisor(plan, self._on_death)
         self.watchdog = Watchdog(self.supervisor, self.alarms, self.tell_event)
         self.runs = RunBook()
@@ -57,6 +60,8 @@ class Station:
         self.internal_error: str | None = None
         self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED else None
         self._context = zmq.asyncio.Context()
+        recorded = plan.settings.recording.enabled and not plan.opened
+        self.recorder = RecorderLink(self.supervisor.endpoints.events, enabled=recorded)
         self._tasks: list[asyncio.Task[None]] = []
         rate_hz, tissues = plan.tool.board.sample_rate_hz, len(plan.library.tissues)
         self._frames = FrameBuffer(int(plan.settings.server.history_s * rate_hz))
@@ -84,12 +89,14 @@ class Station:
         for work in (
             self._listen(endpoints.estimates, self._on_estimator),
             self._listen(endpoints.samples, self._on_acquisition),
+            self._listen(endpoints.recorder, self._on_recorder),
             self._tick(),
             self._start_tool(),
         ):
             task = asyncio.create_task(work)
             task.add_done_callback(self._on_task_end)
             self._tasks.append(task)
+        self.supervisor.start_recorder()
         self.supervisor.start_estimator()
 
     def _on_task_end(self, task: asyncio.Task[None]) -> None:
@@ -116,6 +123,7 @@ class Station:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)
             await self.supervisor.stop()
+            self.recorder.close()
             self._context.destroy(linger=0)
 
     # --- commands ----------------------------------------------------------------------------------------------------
@@ -126,12 +134,15 @@ class Station:
         Raises:
             ServiceError: the acquisition does not answer or refuses; the text says why.
         """
-        run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick)  # nobody else may start meanwhile
+        prefix = DEMONSTRATION if self.demo else ""
+        run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
+        self.recorder.brief(Brief(run.id, protocol.model_dump_json(), cycles, tissue, by))
         deadline_ns = time.monotonic_ns() + int(ANSWER_S * 1e9)
         answer = await self._command(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue, deadline_ns))
         if answer.refused:
             self.runs.forget(run.id)
             raise ServiceError(answer.refused)
+        self._keep(run)
         self.simulated_tissue = tissue or self.simulated_tissue
         held = f", {holdable(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
         self.tell_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by)
@@ -210,7 +221,15 @@ class Station:
 
     def _new_teller(self) -> Teller:
         rate_hz = self.plan.tool.board.sample_rate_hz
-        return Teller(self.plan.library, rate_hz, self.alarms, self.hub.broadcast, self._keep_grasp)
+        return Teller(self.plan.library, rate_hz, self.alarms, self._tell, self._keep_grasp)
+
+    def _tell(self, message: BaseModel) -> None:
+        """To the viewers, and to those who keep it."""
+        self.hub.broadcast(message)
+        self._keep(message)
+
+    def _keep(self, message: BaseModel) -> None:
+        self.recorder.tell(message)
 
     def _forget_grasp(self) -> None:
         """A worker begins anew: nobody will tell the end of what was under way."""
@@ -275,14 +294,35 @@ class Station:
                 self._end_run(notice["run_id"], RunState(notice["end"]), notice["why"])
         self.tell_state()
 
+    def _on_recorder(self, parts: list[bytes]) -> None:
+        notice = bus.unpack_notice(parts)
+        match notice["kind"]:
+            case "recording":
+                self.watchdog.heard("recorder")
+                self.supervisor.workers["recorder"].condition = Condition.RUNNING
+                before = self.recorder.state
+                self.recorder.heard(notice)
+                if self.recorder.state.file and not before.file:
+                    self.alarms.end("recording")
+                if self.recorder.state.file != before.file:
+                    self.tell_state()
+            case "recording_stopped":
+                self.recorder.stopped(notice["text"])
+                self.alarms.raise_technical("recording", Priority.MEDIUM, notice["text"])
+                self.tell_event(notice["text"])
+            case "mended":
+                self.tell_event(f"The recording {notice['file']} had been cut off, and was made whole")
+
     def _keep_grasp(self, grasp: Grasp) -> None:
         self.metrics.grasps.labels(grasp.label).inc()
         run_id, grasp = self.runs.keep(grasp, round(grasp.start_s * self.plan.tool.board.sample_rate_hz))
-        self.hub.broadcast(GraspEnded(run_id=run_id, grasp=grasp))
+        self._tell(GraspEnded(run_id=run_id, grasp=grasp))
 
     def _end_run(self, run_id: str, state: RunState, why: str) -> None:
         if not self.runs.end(run_id, state, why):
             return
+        if ended := self.runs.get(run_id):
+            self._keep(ended)
         self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN)
         if state is RunState.FAILED:
             text = f"The run was ended with the motor at zero: {why}"
@@ -297,6 +337,12 @@ class Station:
             self.alarms.raise_technical("motor", Priority.HIGH, text)
             return
         self.metrics.worker_deaths.labels(worker).inc()
+        if worker == "recorder":
+            self.recorder.stopped("the recorder died")
+            self.alarms.raise_technical(worker, Priority.MEDIUM, f"{text} Meanwhile nothing is recorded.")
+            self.tell_event(text)
+            self.tell_state()
+            return
         self._forget_grasp()
         text = " ".join(filter(None, (self._fault_texts.pop(worker, None), text)))
         self.alarms.raise_technical(worker, Priority.HIGH, text)
@@ -338,7 +384,8 @@ class Station:
     def phase(self) -> Phase:
         if self.plan.opened:
             return Phase.REPLAY
-        conditions = {name: worker.condition for name, worker in self.supervisor.workers.items()}
+        workers = self.supervisor.workers
+        conditions = {name: workers[name].condition for name in ("acquisition", "estimator")}
         if self.internal_error or Condition.FAULTED in conditions.values():
             return Phase.FAULTED
         if set(conditions.values()) != {Condition.RUNNING} or not self.watchdog.sampling:
@@ -363,7 +410,7 @@ class Station:
             lost_samples=self.lost_samples,
             estimator_latency_ms=self._latency_ms,
             viewers=len(self.hub.viewers),
-            recording=None,
+            recording=self.recorder.state,
             free_disk_bytes=self._free_bytes,
             faults=self.alarms.technical_texts(),
         )

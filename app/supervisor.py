@@ -1,4 +1,4 @@
-"""Starts the two workers, notices their death within milliseconds, and restarts them a bounded number of times."""
+"""Starts the workers, notices their death within milliseconds, and restarts them a bounded number of times."""
 
 import asyncio
 import multiprocessing
@@ -17,6 +17,8 @@ from acquisition import worker as acquisition_worker
 from acquisition.bus import Endpoints
 from acquisition.nidaq import reset_device
 from app.plan import ServicePlan
+from app.record import worker as recorder_worker
+from app.record.run_file import Rig
 from config.errors import ToolError
 from config.schema import ToolKind
 from estimator import worker as estimator_worker
@@ -59,13 +61,19 @@ class Supervisor:
             plan.tissue, plan.seed, plan.settings.limiter,
         )  # fmt: skip
         estimator = estimator_worker.Setup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
+        rig = Rig(plan.tool, plan.library, plan.settings)
+        recorder = recorder_worker.Setup(os.getpid(), self.endpoints, plan.recordings_folder, rig)
         self.workers = {
             "acquisition": Worker("acquisition", acquisition_worker.main, acquisition),
             "estimator": Worker("estimator", estimator_worker.main, estimator),
+            "recorder": Worker("recorder", recorder_worker.main, recorder),
         }
 
     def start_estimator(self) -> None:
         self._start(self.workers["estimator"])
+
+    def start_recorder(self) -> None:
+        self._start(self.workers["recorder"])
 
     def start_acquisition(self) -> None:
         self._start(self.workers["acquisition"])

@@ -214,6 +214,16 @@ class Hello(Wire):
     frame_rate_hz: float
 
 
+class RecordingState(Wire):
+    """How it stands with the recorder."""
+
+    enabled: bool
+    file: str | None = Field(description="What is being written; null: no run is under way, or none is recorded")
+    samples: int = Field(description="In that file so far, those from before the run included")
+    missing_blocks: int = Field(description="Blocks that never reached the recorder")
+    problem: str | None = Field(description="Why the last recording ended before its run")
+
+
 class State(Wire):
     """Where everything stands; once a second and at every change."""
 
@@ -229,7 +239,7 @@ class State(Wire):
     lost_samples: int
     estimator_latency_ms: float | None
     viewers: int
-    recording: str | None = Field(description="File that is being written; null: nothing is recorded")
+    recording: RecordingState
     free_disk_bytes: int | None = Field(description="Null: the data folder is gone")
     faults: list[str]
 
@@ -362,6 +372,11 @@ class RecordingInfo(Wire):
     modified_at: str = Field(description="ISO 8601, UTC")
     duration_s: float | None = Field(description="Null: not read yet, or not to be read")
     problem: str | None = Field(description="Why it cannot be replayed")
+    whole: bool = Field(description="False while it is being written, and for one that was cut off")
+    run_id: str | None = Field(description="Null where it is no recording of a run")
+    protocol: str | None
+    tissue: str | None = Field(description="What it was said to hold")
+    by: str | None
 
 
 class Recordings(Wire):

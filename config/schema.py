@@ -357,6 +357,16 @@ class Limiter(Model):
     limit_expires_s: Positive = 0.1
 
 
+class Recording(Model):
+    """What is kept of every run. Nothing is recorded where fewer than `least_free_bytes` are free."""
+
+    enabled: bool = True
+    before_s: Annotated[float, Field(ge=0, le=60)] = 5.0
+    after_s: Annotated[float, Field(ge=0, le=60)] = 1.0
+    least_free_bytes: Annotated[int, Field(ge=0)] = 200_000_000
+    demonstrations_kept: Annotated[int, Field(ge=0)] = 12
+
+
 class Warnings(Model):
     """Shares of the threshold in force at which low, medium and high warnings begin, and their hysteresis."""
 
@@ -383,3 +393,4 @@ class Settings(Model):
     identification: Identification = Identification()
     limiter: Limiter = Limiter()
     warnings: Warnings = Warnings()
+    recording: Recording = Recording()

@@ -101,7 +101,7 @@ class Container:
         self.attachments: dict[str, bytes] = {}
         self.message_counts: dict[str, int] = {}
         profile = ""
-        for record in self._records():
+        for record in self.records():
             match record:
                 case Header():
                     profile = record.profile
@@ -162,7 +162,7 @@ class Container:
             file.seek(ended_at)
             self.ended = next(iter(StreamReader(file, skip_magic=True).records)).metadata
 
-    def _records(self) -> Iterator[McapRecord]:
+    def records(self) -> Iterator[McapRecord]:
         """All records in their order, to the file's end or to where it was cut off.
 
         Raises:
@@ -193,7 +193,7 @@ class Container:
         """
         wanted = set(topics)
         channels = _Channels()
-        for number, record in enumerate(record for record in self._records() if isinstance(record, Chunk)):
+        for number, record in enumerate(record for record in self.records() if isinstance(record, Chunk)):
             try:
                 stream, size = get_chunk_data_stream(record, validate_crc=True)
                 yield from _in_chunk(stream.read(size), channels, wanted)

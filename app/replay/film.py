@@ -1,7 +1,8 @@
 """A recording's film: everything that its viewers see at every moment, written once, then only read.
 
-On disk it is three files of one folder: `columns.npy`, float32 of shape (samples, channels); `told`, JSON messages
-one after the other; `index.npz`, which says at which tick each was told and where samples are missing.
+On disk it is four files of one folder: `columns.npy`, float32 of shape (samples, channels); `told`, JSON messages
+one after the other; `index.npz`, which says at which tick each was told and where samples are missing; `tool.json`, the
+tool it was recorded with.
 """
 
 from dataclasses import dataclass
@@ -12,8 +13,9 @@ from typing import Self
 import numpy as np
 
 from app.wire import Alarm, AlarmKind
+from config.schema import Tool
 
-COLUMNS, TOLD, INDEX = "columns.npy", "told", "index.npz"
+COLUMNS, TOLD, INDEX, TOOL = "columns.npy", "told", "index.npz", "tool.json"
 
 
 class Kind(IntEnum):
@@ -43,9 +45,9 @@ class Index:
 class Film:
     """The files stay open: their folder may go."""
 
-    def __init__(self, columns: np.ndarray, told: np.ndarray, index: Index) -> None:
+    def __init__(self, columns: np.ndarray, told: np.ndarray, index: Index, tool: Tool) -> None:
         """`columns`: float32 of shape (samples, channels); `told`: uint8 of shape (bytes,)."""
-        self._columns, self._told, self._index = columns, told, index
+        self._columns, self._told, self._index, self.tool = columns, told, index, tool
         self._begins = np.concatenate([[0], index.ends[:-1]])
         self.rate_hz = float(index.rate_hz)
         self.grasp_starts_s: list[float] = index.grasp_starts_s.tolist()
@@ -55,8 +57,9 @@ class Film:
     def open(cls, folder: Path) -> Self:
         with np.load(folder / INDEX) as index:
             return cls(
-                np.load(folder / COLUMNS, mmap_mode="r"), np.memmap(folder / TOLD, np.uint8, "r"), Index(**index)
-            )
+                np.load(folder / COLUMNS, mmap_mode="r"), np.memmap(folder / TOLD, np.uint8, "r"), Index(**index),
+                Tool.model_validate_json((folder / TOOL).read_bytes()),
+            )  # fmt: skip
 
     @property
     def duration_s(self) -> float:

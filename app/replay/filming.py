@@ -13,7 +13,7 @@ from acquisition.blocks import SampleBlock
 from acquisition.pipeline import Pipeline
 from app.alarms import AlarmBook
 from app.frames import channels, columns_of
-from app.replay.film import COLUMNS, INDEX, TOLD, Kind
+from app.replay.film import COLUMNS, INDEX, TOLD, TOOL, Kind
 from app.replay.shelf import open_recording
 from app.teller import Teller
 from app.wire import Alarm, Grasp, GraspEnded, Identification, Priority
@@ -32,11 +32,15 @@ def make_film(
 ) -> None:
     """Estimate a recording and write its film into `folder`; tells the share done.
 
+    `tool`: of recordings that do not say with which they were made.
+
     Raises:
         RecordingError: it cannot be read; names file and line.
         ServiceError: there is not enough room for the film.
     """
     recording = open_recording(path, tool)
+    tool = recording.tool
+    (folder / TOOL).write_text(tool.model_dump_json())
     columns = len(channels(list(library.tissues)))
     _check_room(folder, 4 * columns * recording.samples)
     shown = 0.0

@@ -59,7 +59,7 @@ class Player:
         """What somebody gets who comes at this moment."""
         shown, film = self._head.shown, self._film
         self._viewer.drop_frames()
-        greeting = hello(self._plan, self._plan.recorded_with, recording=True)
+        greeting = hello(self._plan, self._film.tool, recording=True)
         self._tell(greeting.model_copy(update={"server_time_ms": self._at_ms}))
         self._tell(self._state())
         for message in film.so_far(shown):

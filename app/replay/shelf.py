@@ -2,18 +2,20 @@
 
 import asyncio
 import stat
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from acquisition.recordings.playing import Recording
+from acquisition.recordings.container import Container
+from acquisition.recordings.layout import RAW
+from acquisition.recordings.playing import Recording, tool_of
 from app.aside import Tell, run_aside
 from app.plan import ServicePlan
 from app.wire import RecordingInfo, Recordings
 from config.errors import GraspwatchError, RecordingError, RefusedError
 from config.schema import Tool
 
-ENDINGS = (".lvm", ".lvm.gz")
+ENDINGS = (".mcap", ".lvm", ".lvm.gz")
 ADVICE = "Ask for the list again."
 READ_AT_ONCE = 50  # files: then those come first that are new meanwhile
 
@@ -31,8 +33,10 @@ class _File:
 class _Content:
     """What reading a file gave: its duration, or why it cannot be read."""
 
-    duration_s: float | None
-    problem: str | None
+    duration_s: float | None = None
+    problem: str | None = None
+    facts: dict[str, str] = field(default_factory=dict)  # of the run, where the file knows one
+    whole: bool = True
 
 
 def open_recording(path: Path, tool: Tool) -> Recording:
@@ -51,9 +55,20 @@ def read_all(tell: Tell, files: list[_File], tool: Tool) -> None:
     """Read files one after the other; tells each with what was found."""
     for file in files:
         try:
-            tell((file, _Content(open_recording(file.path, tool).duration_s, None)))
+            tell((file, _read(file.path, tool)))
         except RecordingError as error:
-            tell((file, _Content(None, str(error))))
+            tell((file, _Content(problem=str(error).replace(str(file.path), file.path.name))))
+
+
+def _read(path: Path, tool: Tool) -> _Content:
+    """What a file holds; of a whole MCAP file only its beginning and its end are read."""
+    if path.suffix != ".mcap":
+        return _Content(open_recording(path, tool).duration_s)
+    container = Container(path)
+    if container.complete:
+        samples = container.message_counts.get(RAW, 0)
+        return _Content(samples / tool_of(container).board.sample_rate_hz, facts=container.about)
+    return _Content(open_recording(path, tool).duration_s, facts=container.about, whole=False)
 
 
 class Shelf:
@@ -110,14 +125,17 @@ class Shelf:
             await run_aside("shelf", read_all, unread, self._plan.recorded_with, told=keep, advice=ADVICE)
         except GraspwatchError as error:  # it died of the first that it did not tell of; the others come next time
             broken = [file for file in unread if file not in self._contents]
-            self._contents |= dict.fromkeys(broken[:1], _Content(None, str(error)))
+            self._contents |= dict.fromkeys(broken[:1], _Content(problem=str(error)))
 
     def _info(self, name: str, file: _File) -> RecordingInfo:
-        content = self._contents.get(file, _Content(None, None))
+        content = self._contents.get(file, _Content())
+        facts = content.facts
         modified = datetime.fromtimestamp(file.modified_ns / 1e9, UTC).isoformat(timespec="seconds")
         return RecordingInfo(
             name=name, size_bytes=file.size_bytes, modified_at=modified,
-            duration_s=content.duration_s, problem=content.problem,
+            duration_s=content.duration_s, problem=content.problem, whole=content.whole,
+            run_id=facts.get("run_id"), protocol=facts.get("protocol"), tissue=facts.get("tissue") or None,
+            by=facts.get("by") or None,
         )  # fmt: skip
 
 

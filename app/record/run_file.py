@@ -1,0 +1,212 @@
+"""Writes one run to an MCAP file: raw and conditioned samples, estimates, and what was told and done meanwhile."""
+
+import contextlib
+import fcntl
+import json
+import os
+import platform
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from pydantic import ValidationError
+
+from acquisition.blocks import SampleBlock
+from acquisition.recordings import layout
+from acquisition.recordings.container import Container
+from acquisition.recordings.playing import tool_of
+from acquisition.recordings.rows import RowLayout
+from app import __version__
+from app.record.topics import TOPICS, schema_of
+from config.errors import RecordingError
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.recorded import estimate_columns, estimate_layout
+
+CHUNK_BYTES = 4 * 2**20  # never reached: a chunk ends with each flush
+FLUSH_S = 0.25
+PARTS = ("numpy", "scipy", "numba", "nidaqmx", "mcap")  # whose versions have a say in what is recorded
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """What a recording is made with."""
+
+    tool: Tool
+    library: TissueLibrary
+    settings: Settings
+
+    @classmethod
+    def of_file(cls, container: Container) -> Self:
+        """What a file was recorded with.
+
+        Raises:
+            RecordingError: it is not in the file, or not as this version describes it.
+        """
+        try:
+            return cls(
+                tool_of(container),
+                TissueLibrary.model_validate_json(container.attachments[layout.LIBRARY]),
+                Settings.model_validate_json(container.attachments[layout.SETTINGS]),
+            )
+        except (KeyError, ValidationError) as error:
+            why = str(error).splitlines()[0]
+            raise RecordingError(
+                f"{container.path}: what it was recorded with cannot be read ({why}). Leave --as-recorded out."
+            ) from None
+
+    def attachments(self) -> dict[str, bytes]:
+        return {
+            layout.TOOL: self.tool.model_dump_json(indent=2).encode(),
+            layout.LIBRARY: self.library.model_dump_json(indent=2).encode(),
+            layout.SETTINGS: self.settings.model_dump_json(indent=2).encode(),
+            layout.VERSIONS: json.dumps(versions(), indent=2).encode(),
+        }
+
+
+def versions() -> dict[str, str]:
+    """Of Graspwatch, of Python, and of the parts that compute."""
+    return {"graspwatch": __version__, "python": platform.python_version(), "machine": platform.machine()} | {
+        name: version(name) for name in PARTS
+    }
+
+
+@dataclass(slots=True)
+class _Pending:
+    """Rows of one topic that wait for the next flush."""
+
+    rows: RowLayout
+    channel: int
+    columns: list[Mapping[str, np.ndarray]] = field(default_factory=list)
+    sequences: list[int] = field(default_factory=list)
+    published_ns: list[int] = field(default_factory=list)
+
+
+class RunFile:
+    """One file. What was added is on its way to the disk with the next `flush`; `close` makes the file whole."""
+
+    def __init__(
+        self, path: Path, rig: Rig, about: Mapping[str, str], attachments: Mapping[str, bytes], wall_offset_ns: int
+    ) -> None:
+        """`about`: run id, first tick of the run and the like; `wall_offset_ns`: from `t_mono_ns` to ns since 1970.
+
+        Raises:
+            OSError: it cannot be made; a file of that name is never overwritten.
+        """
+        self.path = path
+        self.samples = self.lost_samples = 0
+        self._wall_offset_ns = wall_offset_ns  # taken once: the computer's clock may be set meanwhile
+        self._tissues = list(rig.library.tissues)
+        self._step_ns = 1e9 / rig.tool.board.sample_rate_hz
+        self._anchor: tuple[int, int] | None = None  # a tick and its time, ns since 1970
+        self._file = path.open("xb")
+        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until this process closes it, or dies
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(layout.PROFILE, f"graspwatch {__version__}")
+        self._writer.add_metadata(layout.ABOUT, self._described(rig, about))
+        now_ns = time.time_ns()
+        for name, data in {**rig.attachments(), **attachments}.items():
+            self._writer.add_attachment(now_ns, now_ns, name, "application/json", data)
+        kinds = {
+            layout.RAW: layout.RAW_ROWS, layout.CONDITIONED: layout.CONDITIONED_ROWS,
+            layout.ESTIMATES: estimate_layout(self._tissues),
+        }  # fmt: skip
+        self._pending = {topic: _Pending(rows, self._declare(topic, rows)) for topic, rows in kinds.items()}
+        self._told = {
+            topic: self._writer.register_channel(
+                topic, "json", self._writer.register_schema(model.__name__, "jsonschema", schema_of(model))
+            )
+            for topic, model in TOPICS.items()
+        }
+
+    def _described(self, rig: Rig, about: Mapping[str, str]) -> dict[str, str]:
+        calibration = rig.tool.calibration
+        return {
+            "format_version": str(layout.FORMAT_VERSION), "graspwatch": __version__, "tool": rig.tool.name,
+            "library": rig.library.name, "calibrated": calibration.date, "calibrated_by": calibration.person,
+            "sample_rate_hz": f"{rig.tool.board.sample_rate_hz:g}",
+            "clock": "log time: the sample clock, set to the computer's clock at the first sample; "
+            "publish time: the computer's clock when the block had been read",
+            **about,
+        }  # fmt: skip
+
+    def _declare(self, topic: str, rows: RowLayout) -> int:
+        schema = self._writer.register_schema(f"graspwatch.{rows.name}", "protobuf", rows.descriptor_set)
+        return self._writer.register_channel(topic, "protobuf", schema)
+
+    def add_samples(self, block: SampleBlock) -> None:
+        """Take a block of samples."""
+        read_ns = block.t_mono_ns + self._wall_offset_ns
+        if self._anchor is None:
+            last_tick = int(block.samples["tick"][-1])
+            self._anchor = (last_tick + 1, read_ns)
+        self.samples += len(block.samples)
+        self.lost_samples += block.lost_samples
+        self._add(layout.RAW, layout.raw_columns(block), block.sequence, read_ns)
+        self._add(layout.CONDITIONED, layout.conditioned_columns(block), block.sequence, read_ns)
+
+    def add_estimates(self, estimates: np.ndarray, sequence: int, published_ns: int) -> None:
+        """Take the estimates of a block; `published_ns` by the monotonic clock."""
+        columns = estimate_columns(estimates, self._tissues)
+        self._add(layout.ESTIMATES, columns, sequence, published_ns + self._wall_offset_ns)
+
+    def _add(self, topic: str, columns: Mapping[str, np.ndarray], sequence: int, published_ns: int) -> None:
+        pending = self._pending[topic]
+        pending.columns.append(columns)
+        pending.sequences.append(sequence)
+        pending.published_ns.append(published_ns)
+
+    def tell(self, topic: str, content: bytes, at_ns: int) -> None:
+        """Take a JSON message; `at_ns` by the computer's clock."""
+        self._writer.add_message(self._told[topic], at_ns, content, at_ns)
+
+    def flush(self) -> None:
+        """Write what has been added, so that it outlives this process.
+
+        Raises:
+            OSError: the disk is full or gone.
+        """
+        for pending in self._pending.values():
+            self._write(pending)
+        self._writer.flush()
+        os.fdatasync(self._file.fileno())
+
+    def _write(self, pending: _Pending) -> None:
+        if not pending.columns:
+            return
+        lengths = [len(columns["tick"]) for columns in pending.columns]
+        joined = {name: np.concatenate([columns[name] for columns in pending.columns]) for name in pending.columns[0]}
+        tick, at_ns = self._anchor or (int(joined["tick"][0]), time.time_ns())
+        log_ns = at_ns + np.round((joined["tick"] - tick) * self._step_ns).astype(np.int64)
+        data, size = pending.rows.encode(joined), pending.rows.row_bytes
+        sequences = np.repeat(pending.sequences, lengths).tolist()
+        published_ns = np.repeat(pending.published_ns, lengths).tolist()
+        add, channel = self._writer.add_message, pending.channel
+        for i, (at, published, sequence) in enumerate(zip(log_ns.tolist(), published_ns, sequences, strict=True)):
+            add(channel, at, data[i * size : (i + 1) * size], published, sequence)
+        pending.columns, pending.sequences, pending.published_ns = [], [], []
+
+    def close(self, **ended: str) -> None:
+        """Make the file whole, with how it ended.
+
+        Raises:
+            OSError: the disk is full or gone; the file is readable up to its last flush.
+        """
+        try:
+            self.flush()
+            counts = {"samples": str(self.samples), "lost_samples": str(self.lost_samples)}
+            self._writer.add_metadata(layout.ENDED, counts | ended)
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Leave the file as it is: readable up to its last flush."""
+        with contextlib.suppress(OSError):  # what is still in its buffer finds no room
+            self._file.close()

@@ -1,0 +1,68 @@
+"""The JSON topics of a recording: messages of `app/wire.py`, with schemas that plotting programs understand.
+
+Those programs read JSON schemas without references and with one type a field; so what has no value is left out of a
+message instead of being null.
+"""
+
+import json
+from typing import Any
+
+from pydantic import BaseModel
+
+from app.wire import Alarm, GraspEnded, Identification, JournalEntry, Run
+
+RUN, GRASP, ALARM, IDENTIFICATION, JOURNAL = "/run", "/grasp", "/alarm", "/identification", "/journal"
+TOPICS: dict[str, type[BaseModel]] = {
+    RUN: Run, GRASP: GraspEnded, ALARM: Alarm, IDENTIFICATION: Identification, JOURNAL: JournalEntry,
+}  # fmt: skip
+_TOPIC_OF = {model: topic for topic, model in TOPICS.items()}
+
+
+def topic_of(message: BaseModel) -> str | None:
+    """Where a message is recorded; None for what is not."""
+    return _TOPIC_OF.get(type(message))
+
+
+def write(message: BaseModel) -> bytes:
+    return message.model_dump_json(exclude_none=True).encode()
+
+
+def read(topic: str, content: bytes) -> BaseModel:
+    """A message as it was before it was written.
+
+    Raises:
+        ValueError: it is not one of this topic.
+    """
+    return TOPICS[topic].model_validate(_with_nulls(TOPICS[topic], json.loads(content)))
+
+
+def _with_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str, Any]:
+    """The message with null for what was left out, also in messages inside."""
+    result: dict[str, Any] = {name: None for name, field in model.model_fields.items() if field.is_required()}
+    for name, value in content.items():
+        inner = model.model_fields[name].annotation if name in model.model_fields else None
+        nested = isinstance(value, dict) and isinstance(inner, type) and issubclass(inner, BaseModel)
+        result[name] = _with_nulls(inner, value) if nested else value
+    return result
+
+
+def schema_of(model: type[BaseModel]) -> bytes:
+    """JSON schema of a model's messages: no references, no nulls."""
+    schema = model.model_json_schema(mode="serialization")
+    return json.dumps(_plain(schema, schema.get("$defs", {}))).encode()
+
+
+def _plain(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    if "$ref" in schema:
+        return _plain(definitions[schema["$ref"].rpartition("/")[2]], definitions)
+    if "anyOf" in schema:
+        (some,) = [each for each in schema["anyOf"] if each.get("type") != "null"]
+        return _plain(some, definitions) | ({"description": schema["description"]} if "description" in schema else {})
+    if "const" in schema or "enum" in schema:
+        return {"type": "string"}
+    plain: dict[str, Any] = {key: schema[key] for key in ("type", "title", "description") if key in schema}
+    if "properties" in schema:
+        plain["properties"] = {name: _plain(each, definitions) for name, each in schema["properties"].items()}
+    if "items" in schema:
+        plain["items"] = _plain(schema["items"], definitions)
+    return plain

@@ -1,0 +1,48 @@
+"""Estimates as rows of a recording: one column for each number, those of a tissue's filter under its name."""
+
+import numpy as np
+
+from acquisition.recordings.rows import Column, RowLayout
+from estimator.blocks import estimate_dtype
+
+OF_THREE = {"log_sd": ("log_alpha_sd", "log_beta_sd", "log_damping_sd")}  # fields with a number for each parameter
+
+
+def estimate_layout(tissues: list[str]) -> RowLayout:
+    """How the estimates of a library with these tissues are recorded."""
+    dtype = estimate_dtype(len(tissues))
+    common = [name for name in dtype.names if not dtype[name].shape]
+    columns = [Column(name, dtype[name].str[1:]) for name in common]
+    for tissue in tissues:
+        for name in dtype.names:
+            if name not in common:
+                columns += [Column(each, group=tissue) for each in OF_THREE.get(name, (name,))]
+    return RowLayout("Estimates", columns)
+
+
+def estimate_columns(estimates: np.ndarray, tissues: list[str]) -> dict[str, np.ndarray]:
+    """Columns, each of shape (n,), by their path."""
+    columns = {}
+    for name in estimates.dtype.names:
+        values = estimates[name]
+        if values.ndim == 1:
+            columns[name] = values
+            continue
+        for k, tissue in enumerate(tissues):
+            if name in OF_THREE:
+                columns |= {f"{tissue}.{each}": values[:, k, i] for i, each in enumerate(OF_THREE[name])}
+            else:
+                columns[f"{tissue}.{name}"] = values[:, k]
+    return columns
+
+
+def estimates_of(columns: dict[str, np.ndarray], tissues: list[str]) -> np.ndarray:
+    """What `estimate_columns` was given.
+
+    Raises:
+        KeyError: a column is missing.
+    """
+    estimates = np.empty(len(columns["tick"]), estimate_dtype(len(tissues)))
+    for path, values in estimate_columns(estimates, tissues).items():  # views into the new array
+        values[:] = columns[path]
+    return estimates
