@@ -2,18 +2,27 @@
 
 import json
 import sys
-import tempfile
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
 import rich.markup
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from app import __version__
+from app.exchange import command as exchange
+from app.options import (
+    RECORDED_WITH,
+    ConfigOption,
+    DataOption,
+    JsonOption,
+    LibraryOption,
+    ProgressBar,
+    SeedOption,
+    data_folder,
+    errors,
+)
 from app.study import command as study
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
@@ -28,22 +37,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-errors = Console(stderr=True, highlight=False)
 app.add_typer(study.app, name="study")
-
-LibraryOption = Annotated[
-    str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens and noise; the same seed gives the same grasps.")]
-DataOption = Annotated[
-    Path | None,
-    typer.Option("--data", metavar="FOLDER", help="Journal, recordings and studies; default: as configured."),
-]
-RECORDED_WITH = "smart_tool_2013"
-ConfigOption = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of config/graspwatch.toml.")
-]
+for command in exchange.COMMANDS:
+    app.command(command.__name__.strip("_").replace("_", "-"))(command)
 
 
 @app.callback(invoke_without_command=True)
@@ -86,7 +82,7 @@ def serve(
 
         check_driver(chosen)
     rig = load_tool(RECORDED_WITH)
-    _serve(ServicePlan(chosen, library, settings, held, seed, _data_folder(data, settings), rig, demo=demo), host, port)
+    _serve(ServicePlan(chosen, library, settings, held, seed, data_folder(data, settings), rig, demo=demo), host, port)
 
 
 @app.command()
@@ -110,14 +106,12 @@ def run(
     settings = load_settings(config)
     profiles, wanted = load_library(library or settings.library), load_protocol(protocol)
     choose(tissue, list(holdable(profiles).tissues), "tissue")
-    if record and record.suffix != ".mcap":
-        raise ConfigurationError(f"--record {record}: the name of a recording ends with .mcap.")
 
     from app.headless import run_protocol  # takes a second: not before the request is known to be sound
 
     count = cycles or wanted.cycles
     duration_s = wanted.lead_in_s + count * wanted.waveform.cycle_s
-    with _progress(f"{wanted.name} on {tissue}", duration_s) as progress:
+    with ProgressBar(f"{wanted.name} on {tissue}", duration_s) as progress:
         report = run_protocol(
             _simulated_tool(settings), profiles, settings, wanted, tissue,
             cycles=count, seed=seed, real_time=real_time, record=record, progress=progress,
@@ -175,7 +169,7 @@ def replay(
     if serve_it:
         if as_json or speed is not None:
             raise ConfigurationError("--serve shows the recording in the dashboard; leave --json and --speed out.")
-        held, folder = next(iter(profiles.tissues)), _data_folder(data, settings)
+        held, folder = next(iter(profiles.tissues)), data_folder(data, settings)
         plan = ServicePlan(rig, profiles, settings, held, 0, folder, rig, tuple(files))
         _serve(plan, host, port)
         return
@@ -187,31 +181,12 @@ def replay(
             if recording.container is None:
                 raise ConfigurationError(f"{path}: LabVIEW's files hold no library. Leave --as-recorded out.")
             how = Rig.of_file(recording.container)
-        with _progress(path.name, 1.0) as progress:
+        with ProgressBar(path.name, 1.0) as progress:
             report = replay_recording(recording, how, progress)
         documents.append(report.document())
         if report.comparison:
             errors.print(report.comparison.text(), soft_wrap=True)
     _print_reports(documents, as_json)
-
-
-def _data_folder(wanted: Path | None, settings: Settings) -> Path:
-    """The folder for everything that is kept, made where it is missing.
-
-    Raises:
-        ConfigurationError: it cannot be made or written to.
-    """
-    folder = wanted or Path(settings.data_folder)
-    try:
-        for name in ("recordings", "studies"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise ConfigurationError(
-            f"{folder}: is no folder to keep data in ({error.strerror}). Name another with --data."
-        ) from None
-    return folder.resolve()
 
 
 def _simulated_tool(settings: Settings) -> Tool:
@@ -236,28 +211,6 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
         )
     print(f"Dashboard: http://{shown}:{bound}/  (API: http://{shown}:{bound}/docs)  Ctrl+C ends it.", flush=True)
     serve_plan(plan, listener)
-
-
-class _progress:
-    """A progress bar on the error output where that is a terminal; calls take what is done."""
-
-    def __init__(self, title: str, total: float) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
-        self._task = self._bar.add_task(title, total=total)
-        self._due_s = 0.0
-
-    def __enter__(self) -> "_progress":
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, done: float) -> None:
-        if not self._bar.disable and time.monotonic() >= self._due_s:
-            self._due_s = time.monotonic() + 0.1
-            self._bar.update(self._task, completed=done)
 
 
 def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:

@@ -1,5 +1,6 @@
 """`graspwatch run` and `graspwatch replay` without a service: the same acquisition and estimation, in one process."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -11,8 +12,9 @@ from acquisition.pipeline import Pipeline
 from acquisition.recordings.playing import Recording
 from acquisition.tools import open_tool
 from app.record.comparing import Comparing, Comparison
-from app.record.headless_file import HeadlessFile
+from app.record.headless_file import HeadlessFile, new_run
 from app.record.run_file import Rig
+from app.wire import RunState
 from config.schema import Protocol, Settings, TissueLibrary, Tool
 from estimator.blocks import GraspRecord
 from estimator.session import EstimationSession
@@ -64,29 +66,32 @@ def run_protocol(
     source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
     run_id = record.stem if record else "run"
     rig = Rig(tool, library, settings)
-    with source, HeadlessFile(record, rig, run_id, protocol, cycles, tissue) as file:
+    recorded = HeadlessFile(record, rig, new_run(run_id, protocol.name, cycles, tissue), protocol) if record else None
+    with source, recorded or contextlib.nullcontext() as file:
         hold_back = HoldBack(tool, library, settings.limiter)
         acquisition = Acquisition(source, tool, settings.conditioning, hold_back)
         acquisition.start(run_id, protocol, cycles)
         ended: list[RunEnded] = []
         while not ended:
             block = acquisition.turn()
-            if block is None:
-                break
+            assert block is not None, "a tool's samples have no end"
             report.samples += len(block.samples)
             report.lost_samples += block.lost_samples
             estimate = session.process(block)
-            file.take(block, estimate)
+            if file:
+                file.take(block, estimate)
             report.grasps += estimate.ended
             limit = limit_of(estimate.identification)
             acquisition.allow(limit.threshold_n, limit.tick)
             ended = acquisition.take_ended()
             progress(report.samples / tool.board.sample_rate_hz)
-        if ended:
-            file.run_ended(ended[0].end, ended[0].why)
-    if last := session.finish():
+        last = session.finish()
+        if file:
+            file.cut_short(last)
+            file.run_ended(RunState(ended[0].end), ended[0].why)
+    if last:
         report.grasps.append(last)
-    if ended and ended[0].end is RunEnd.FAILED:
+    if ended[0].end is RunEnd.FAILED:
         report.failure = f"The run was ended early with the motor at zero: {ended[0].why}."
     return report
 

@@ -4,6 +4,7 @@ import contextlib
 import gzip
 import io
 import zlib
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from config.errors import RecordingError
 from config.schema import Tool
 
+HEADER_LINES = 40  # at most, of the first part
 END_OF_HEADER = "***End_of_Header***"
 ENCODER_HEADER = "Untitled"  # the lab's name for the counter channel
 
@@ -39,6 +41,25 @@ def read_lvm(path: Path, tool: Tool) -> np.ndarray:
         raise RecordingError(_first_bad_line(path, lines, headings_at, columns))
     _check_time(path, table[:, 0], [number for number, _ in rows], tool.board.sample_rate_hz)
     return table
+
+
+def started_at(path: Path) -> datetime | None:
+    """When a LabVIEW measurement was begun, by that computer's clock, whose zone the file does not say; None if it does
+    not say when.
+
+    Raises:
+        RecordingError: the file cannot be read.
+    """
+    header: dict[str, str] = {}
+    for line in _read_lines(path)[:HEADER_LINES]:
+        name, _, value = line.partition("\t")
+        if name == END_OF_HEADER:
+            break
+        header[name] = value.strip()
+    try:
+        return datetime.strptime(f"{header['Date']} {header['Time'][:15]}", "%Y/%m/%d %H:%M:%S.%f")
+    except (KeyError, ValueError):
+        return None
 
 
 def _read_lines(path: Path) -> list[str]:

@@ -11,6 +11,8 @@ from app.record.topics import topic_of, write
 from app.record.worker import pack_brief
 from app.wire import RecordingState
 
+NO_RECORDER = RecordingState(enabled=False, file=None, samples=0, missing_blocks=0, problem=None)
+
 
 class RecorderLink:
     """Tells the recorder of runs, and of all messages that are recorded."""
@@ -18,7 +20,7 @@ class RecorderLink:
     def __init__(self, address: str, *, enabled: bool) -> None:
         self._context = zmq.Context()
         self._socket = bus.publisher(self._context, address)
-        self._state = RecordingState(enabled=enabled, file=None, samples=0, missing_blocks=0, problem=None)
+        self._state = NO_RECORDER.model_copy(update={"enabled": enabled})
 
     @property
     def state(self) -> RecordingState:

@@ -122,6 +122,7 @@ class RunFile:
             )
             for topic, model in TOPICS.items()
         }
+        self.flush()
 
     def _described(self, rig: Rig, about: Mapping[str, str]) -> dict[str, str]:
         calibration = rig.tool.calibration
@@ -164,8 +165,8 @@ class RunFile:
         """Take a JSON message; `at_ns` by the computer's clock."""
         self._writer.add_message(self._told[topic], at_ns, content, at_ns)
 
-    def flush(self) -> None:
-        """Write what has been added, so that it outlives this process.
+    def flush(self, *, sync: bool = True) -> None:
+        """Write what has been added, so that it outlives this process, and with `sync` the computer too.
 
         Raises:
             OSError: the disk is full or gone.
@@ -173,7 +174,8 @@ class RunFile:
         for pending in self._pending.values():
             self._write(pending)
         self._writer.flush()
-        os.fdatasync(self._file.fileno())
+        if sync:
+            os.fdatasync(self._file.fileno())
 
     def _write(self, pending: _Pending) -> None:
         if not pending.columns:

@@ -10,6 +10,7 @@ from app.describe import free_bytes, hello
 from app.frames import pack
 from app.live import Viewer
 from app.plan import ServicePlan
+from app.record.link import NO_RECORDER
 from app.replay.film import Film
 from app.replay.films import Showing
 from app.replay.playhead import Playhead
@@ -96,7 +97,7 @@ class Player:
         return State(
             server_time_ms=self._at_ms, phase=Phase.REPLAY, run=None, last_run=None, simulated_tissue=None, demo=None,
             control=None, rate_hz=self._film.rate_hz, lost_samples=self._film.lost_samples(self._head.shown),
-            estimator_latency_ms=None, viewers=self._showing.viewers, recording=None,
+            estimator_latency_ms=None, viewers=self._showing.viewers, recording=NO_RECORDER,
             free_disk_bytes=free_bytes(self._plan.data), faults=self._film.faults(self._head.shown),
         )  # fmt: skip
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from simulation import joined, simulate_raw, write_lvm
 
+from acquisition.recordings.playing import Recording
 from app.headless import replay_recording, run_protocol
+from app.record.run_file import Rig
 from config.load import load_library, load_protocol, load_settings, load_tool
 
 ROUNDS = 3
@@ -20,7 +22,16 @@ def measure() -> list[dict]:
 
     def run() -> float:
         report = run_protocol(
-            tool, library, settings, protocol, "liver", cycles=10, seed=1, real_time=False, progress=lambda _: None
+            tool,
+            library,
+            settings,
+            protocol,
+            "liver",
+            cycles=10,
+            seed=1,
+            real_time=False,
+            record=None,
+            progress=lambda _: None,
         )
         return report.samples / report.rate_hz
 
@@ -44,7 +55,7 @@ def recordings() -> list[Path]:
 
 
 def replay(path, rig, library, settings) -> float:
-    report = replay_recording(path, rig, library, settings, speed=None, progress=lambda _: None)
+    report = replay_recording(Recording(path, rig), Rig(rig, library, settings), lambda _: None)
     return report.samples / report.rate_hz
 
 

@@ -97,7 +97,7 @@ function makeRow({ name }: RecordingInfo): Row<RecordingInfo> {
   const element = create("tr");
   const address = encodeURIComponent(name);
   const link = create("a", "row-link", name);
-  const [problem, small] = [create("small", "problem"), create("small", "narrow")];
+  const [problem, small, run] = [create("small", "problem"), create("small", "narrow"), create("small")];
   const [when, length, size] = [create("td", "roomy"), create("td", "number roomy"), create("td", "number roomy")];
   const replay = create("a", "action", "Replay");
   replay.href = `/recordings/${address}`;
@@ -107,7 +107,7 @@ function makeRow({ name }: RecordingInfo): Row<RecordingInfo> {
   download.download = name;
   download.ariaLabel = `Download ${name}`;
   const what = headCell("what");
-  what.append(link, small, problem);
+  what.append(link, run, small, problem);
   const actions = create("td", "actions");
   const buttons = create("div");
   buttons.append(replay, download);
@@ -121,10 +121,18 @@ function makeRow({ name }: RecordingInfo): Row<RecordingInfo> {
     if (when.textContent !== modified) when.replaceChildren(moment(recording.modified_at, modified));
     setText(length, lengthInWords(recording));
     setText(size, bytes(recording.size_bytes));
+    setText(run, runInWords(recording));
     const facts = [recording.problem === null ? length.textContent : null, modified, size.textContent];
     setText(small, facts.filter(Boolean).join(" · "));
   };
   return { element, update };
+}
+
+/** What was recorded: protocol, what it was said to hold, by whom. */
+function runInWords({ protocol, tissue, by, whole, run_id: runId }: RecordingInfo): string {
+  if (runId === null) return "";
+  const words = [protocol, tissue?.replaceAll("_", " "), by === null ? null : `by ${by}`];
+  return [...words, whole ? null : "not whole: being recorded, or cut off"].filter(Boolean).join(" · ");
 }
 
 /** The file's name stands above it already. */

@@ -1,5 +1,5 @@
-import { byId, setData, setHidden, setText } from "../dom";
-import { bytes, fixed, NO_VALUE } from "../format";
+import { byId, setAttribute, setData, setHidden, setText } from "../dom";
+import { bytes, duration, fixed, NO_VALUE } from "../format";
 import type { Model } from "../live/model";
 import { pageAlarm, type ShownAlarm } from "./alarms";
 import type { ToolKind } from "../wire";
@@ -31,12 +31,26 @@ export class StatusStrip {
     const dropped = this.model.samplesMissed;
     setText(byId("status-dropped"), String(dropped));
     setData(byId("status-dropped"), "warn", String(dropped > 0));
-    setText(byId("status-recording"), state?.recording ?? "off");
+    this.renderRecording();
     const free = state?.free_disk_bytes ?? null;
     setText(byId("status-disk"), free === null ? NO_VALUE : bytes(free));
     setData(byId("status-disk"), "warn", String(free !== null && free < LITTLE_DISK_BYTES));
     setText(byId("status-viewers"), state ? String(state.viewers) : NO_VALUE);
     this.renderNews(state?.faults ?? []);
+  }
+
+  /** Whether what happens is kept: a run's recording grows, or why there is none. */
+  private renderRecording(): void {
+    const recording = this.model.state?.recording;
+    const rateHz = this.model.hello?.tool.sample_rate_hz ?? NaN;
+    const words = (): string => {
+      if (!recording?.enabled) return "off";
+      if (recording.file !== null) return `● ${duration((recording.samples / rateHz) * 1000)}`;
+      return recording.problem === null ? "ready" : "stopped";
+    };
+    setText(byId("status-recording"), words());
+    setData(byId("status-recording"), "warn", String((recording?.problem ?? null) !== null));
+    setAttribute(byId("status-recording"), "title", recording?.problem ?? recording?.file ?? "");
   }
 
   private titleInWords(): string {

@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 from simulation import cut, joined, lvm_text, simulate_raw
 
 from acquisition.recordings.lvm import read_lvm
+from acquisition.recordings.playing import Recording
 from app.frames import channels
 from app.headless import replay_recording
+from app.record.run_file import Rig
 from app.replay import filming
 from app.replay.film import Film
 from app.replay.filming import make_film
@@ -90,7 +92,7 @@ def test_any_stretch_gives_the_samples_that_are_there(film: Film, begin: int, ti
 def test_its_grasps_are_those_of_the_headless_replay_the_one_that_the_end_cut_short_included(
     film: Film, path: Path
 ) -> None:
-    report = replay_recording(path, TOOL, LIBRARY, SETTINGS, speed=None, progress=lambda _: None)
+    report = replay_recording(Recording(path, TOOL), Rig(TOOL, LIBRARY, SETTINGS), lambda _: None)
     grasps = [message["grasp"] for message in told(film, 0, END, "grasp")]
     assert len(grasps) == 3
     for grasp, record in zip(grasps, report.grasps, strict=True):

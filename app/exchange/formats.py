@@ -1,0 +1,12 @@
+"""The formats of exports."""
+
+from enum import StrEnum
+
+
+class Format(StrEnum):
+    """What an export is written as."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+    MAT = "mat"
+    MCAP = "mcap"

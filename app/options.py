@@ -1,0 +1,70 @@
+"""What the commands have in common: options, the data folder, the progress bar, where errors go."""
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from config.errors import ConfigurationError
+from config.schema import Settings
+
+errors = Console(stderr=True, highlight=False)
+
+LibraryOption = Annotated[
+    str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens and noise; the same seed gives the same grasps.")]
+DataOption = Annotated[
+    Path | None,
+    typer.Option("--data", metavar="FOLDER", help="Journal, recordings and studies; default: as configured."),
+]
+RECORDED_WITH = "smart_tool_2013"
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of config/graspwatch.toml.")
+]
+
+
+def data_folder(wanted: Path | None, settings: Settings) -> Path:
+    """The folder for everything that is kept, made where it is missing.
+
+    Raises:
+        ConfigurationError: it cannot be made or written to.
+    """
+    folder = wanted or Path(settings.data_folder)
+    try:
+        for name in ("recordings", "studies"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ConfigurationError(
+            f"{folder}: is no folder to keep data in ({error.strerror}). Name another with --data."
+        ) from None
+    return folder.resolve()
+
+
+class ProgressBar:
+    """A progress bar on the error output where that is a terminal; calls take what is done."""
+
+    def __init__(self, title: str, total: float) -> None:
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        self._bar = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
+        self._task = self._bar.add_task(title, total=total)
+        self._due_s = 0.0
+
+    def __enter__(self) -> "ProgressBar":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, done: float) -> None:
+        if not self._bar.disable and time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + 0.1
+            self._bar.update(self._task, completed=done)
