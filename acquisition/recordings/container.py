@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
-from mcap.stream_reader import CRCValidationError, StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from zstandard import ZstdError
 
 from acquisition.recordings.layout import ABOUT, ENDED, FORMAT_VERSION, PROFILE
 from acquisition.recordings.rows import RowLayout
@@ -30,6 +32,7 @@ MESSAGE_HEAD = np.dtype(
     ]
 )  # fmt: skip
 _DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+DAMAGE = (McapError, ZstdError, DecodeError, LookupError, ValueError, OverflowError, MemoryError, struct.error)
 ANOTHER_COPY = "Copy it again from where it was recorded."
 
 
@@ -140,7 +143,7 @@ class Container:
                     return False
                 file.seek(summary_start)
                 self._read_summary(file)
-        except (OSError, EndOfFile, McapError, ValueError) as error:
+        except (OSError, *DAMAGE) as error:
             raise RecordingError(f"{self.path}: its end is damaged ({error}). {ANOTHER_COPY}") from None
         return True
 
@@ -182,7 +185,7 @@ class Container:
             raise RecordingError(f"{self.path}: there is no such file. Check the path.") from None
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read ({error.strerror}).") from None
-        except (McapError, RecordLengthLimitExceeded, ValueError, struct.error) as error:
+        except DAMAGE as error:
             raise RecordingError(f"{self.path}: is damaged ({error}). {ANOTHER_COPY}") from None
 
     def read(self, *topics: str) -> Iterator[Rows | Told]:
@@ -197,7 +200,7 @@ class Container:
             try:
                 stream, size = get_chunk_data_stream(record, validate_crc=True)
                 yield from _in_chunk(stream.read(size), channels, wanted)
-            except (CRCValidationError, ValueError, KeyError, McapError, struct.error, IndexError) as error:
+            except DAMAGE as error:
                 raise RecordingError(
                     f"{self.path}: piece {number + 1} of its samples is damaged ({error}). {ANOTHER_COPY}"
                 ) from None

@@ -6,13 +6,12 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from acquisition.recordings import layout
-from acquisition.recordings.container import Container
+from acquisition.recordings.container import DAMAGE, Container
 from config.errors import RecordingError
 
 CHUNK_BYTES = 256 * 2**10
@@ -78,7 +77,7 @@ def _rewrite(container: Container, writer: Writer) -> None:
             case Chunk():
                 try:
                     inner = breakup_chunk(record, validate_crc=True)
-                except (EndOfFile, McapError, ValueError):
+                except DAMAGE:
                     break  # the chunk that was being written
                 for each in inner:
                     _copy(each, writer, schemas, channels)
