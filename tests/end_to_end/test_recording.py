@@ -1,0 +1,149 @@
+"""Runs are recorded: all of them, from before their beginning, whatever dies or fills up meanwhile."""
+
+import os
+import resource
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from service import Listener, Service, until
+
+from acquisition.recordings.container import Container
+from acquisition.recordings.playing import Recording
+from app.headless import replay_recording
+from app.record.mend import mend
+from app.record.reading import read_run
+from app.record.run_file import Rig
+from config.load import load_tool
+
+RIG = load_tool("smart_tool_2013")
+
+
+@pytest.fixture(scope="module")
+def service():
+    with Service("serve") as running:
+        yield running
+
+
+def file_of(service: Service, run_id: str) -> Path:
+    return service.data / "recordings" / f"{run_id}.mcap"
+
+
+def recorded(service: Service, run_id: str) -> Path:
+    """The run's file once it is whole."""
+    path = file_of(service, run_id)
+    until(lambda: path.exists() and Container(path).complete)
+    return path
+
+
+def recording_state(service: Service) -> dict:
+    with Listener(service) as listener:
+        listener.listen(lambda: listener.of("state"))
+        return listener.of("state")[-1]["recording"]
+
+
+def test_a_run_is_recorded_from_before_its_beginning_and_replays_bit_for_bit(service: Service) -> None:
+    with Listener(service) as listener:
+        listener.listen(lambda: listener.frames and listener.frames[-1][0][6] > 5_500)  # 5 s have gone by
+        run = service.run(protocol="trapezoid_2hz", cycles=2, tissue="bladder", by="Ada")
+        listener.listen(lambda: any((m["recording"] or {}).get("file") for m in listener.of("state")))
+        listener.listen(lambda: len([m for m in listener.of("grasp") if m["run_id"] == run["id"]]) == 2)
+        path = recorded(service, run["id"])
+        told = [m["grasp"] for m in listener.of("grasp") if m["run_id"] == run["id"]]
+    kept = read_run(path)
+    ticks, begins = kept.samples["tick"], int(kept.about["run_first_tick"])
+    assert (np.diff(ticks) == 1).all()
+    assert begins - ticks[0] == 5_000
+    assert (kept.estimates["tick"] == ticks).all()
+    assert np.isfinite(kept.estimates["alpha_n"]).any()
+    assert [grasp.model_dump(mode="json") for grasp in kept.grasps] == told
+    assert (kept.run.state, kept.run.by, kept.run.tissue) == ("finished", "Ada", "bladder")
+    recording = Recording(path, RIG)
+    comparison = replay_recording(recording, Rig.of_file(recording.container), lambda _: None).comparison
+    assert comparison.compared == ticks[-1] + 1 - begins
+    assert comparison.unequal == 0
+    listed = {each["name"]: each for each in service.http.get("/api/recordings").json()["recordings"]}
+    assert path.name in listed
+
+
+def test_the_second_run_does_not_depend_on_the_first(service: Service) -> None:
+    """What is measured in a run begins anew with it: its replay needs nothing that came before."""
+    runs = []
+    for _ in range(2):
+        run = service.run(protocol="trapezoid_2hz", cycles=1, tissue="gallbladder")
+        service.finished(run["id"])
+        runs.append(recorded(service, run["id"]))
+    for path in runs:
+        recording = Recording(path, RIG)
+        report = replay_recording(recording, Rig.of_file(recording.container), lambda _: None)
+        assert report.comparison.unequal == 0
+        assert report.grasps[-1].index == 1
+
+
+def test_a_killed_recorder_loses_less_than_a_second_and_the_run_goes_on(service: Service) -> None:
+    run = service.run(protocol="trapezoid_2hz", cycles=5, tissue="liver")
+    path = file_of(service, run["id"])
+    until(lambda: recording_state(service)["samples"] > 6_500)
+    before = recording_state(service)["samples"]
+    os.kill(service.worker("recorder"), signal.SIGKILL)
+    with Listener(service) as listener:
+        listener.listen(lambda: any("recorder" in m["text"] for m in listener.of("alarm")))
+    assert service.finished(run["id"])["state"] == "finished"
+    parts = until(lambda: len(found := sorted(path.parent.glob(f"{run['id']}*"))) == 2 and found)
+    until(lambda: all(Container(part).complete for part in parts))  # the first was made whole by the next recorder
+    first, second = read_run(path), read_run(path.with_name(f"{run['id']}-part2.mcap"))
+    assert len(first.samples) > before - 1_000
+    assert (np.diff(first.samples["tick"]) == 1).all()
+    assert second.about["continues"] == run["id"]
+    assert second.samples["tick"][0] > first.samples["tick"][-1]
+    with Listener(service) as listener:
+        listener.listen(lambda: listener.of("state"))
+        assert not any("recorder" in fault for fault in listener.of("state")[-1]["faults"])
+
+
+def test_a_full_disk_ends_the_recording_with_an_alarm_and_not_the_run(service: Service) -> None:
+    """The recorder may not write files of more than 1.25 MB: to it that is a full disk."""
+    limit = 1_250_000
+    recorder = service.worker("recorder")
+    resource.prlimit(recorder, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    try:
+        with Listener(service) as listener:
+            run = service.run(protocol="trapezoid_2hz", cycles=6, tissue="liver")
+            alarms = lambda: [m for m in listener.of("alarm") if "the run goes on" in m["text"]]  # noqa: E731
+            listener.listen(alarms)
+            assert alarms()[0]["priority"] == "medium"
+            assert f"{run['id']}.mcap stopped (File too large)" in alarms()[0]["text"]
+            assert recording_state(service)["problem"] == alarms()[0]["text"]
+            assert service.http.get(f"/api/runs/{run['id']}").json()["state"] == "running"
+        assert service.finished(run["id"])["state"] == "finished"
+    finally:
+        resource.prlimit(recorder, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    path = file_of(service, run["id"])
+    assert path.stat().st_size <= limit
+    assert len(read_run(path).samples) > 5_500
+    assert mend(path)
+    following = service.run(protocol="trapezoid_2hz", cycles=1, tissue="liver")
+    service.finished(following["id"])
+    recorded(service, following["id"])
+    assert recording_state(service)["problem"] is None
+
+
+def test_with_too_little_room_a_run_is_not_recorded_and_says_so(tmp_path: Path) -> None:
+    (tmp_path / "little.toml").write_text("[recording]\nleast_free_bytes = 1_000_000_000_000_000\n")
+    with Service("serve", "--config", str(tmp_path / "little.toml")) as service, Listener(service) as listener:
+        run = service.run(protocol="trapezoid_2hz", cycles=1, tissue="liver")
+        said = f"Run {run['id']} is not recorded"
+        listener.listen(lambda: any(m["text"].startswith(said) for m in listener.of("alarm")))
+        assert service.finished(run["id"])["state"] == "finished"
+        assert not file_of(service, run["id"]).exists()
+
+
+def test_the_end_of_the_service_makes_the_file_whole() -> None:
+    with Service("serve") as service:
+        run = service.run(protocol="trapezoid_2hz", cycles=20, tissue="liver")
+        until(lambda: recording_state(service)["samples"] > 1_000)
+        service.end()
+        container = Container(file_of(service, run["id"]))
+        assert container.complete
+        assert len(read_run(container.path).samples) > 1_000
