@@ -13,7 +13,7 @@ from typing import BinaryIO
 import numpy as np
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
@@ -31,6 +31,7 @@ MESSAGE_HEAD = np.dtype(
         ("log_ns", "<u8"), ("publish_ns", "<u8"),
     ]
 )  # fmt: skip
+_TAKEN = {Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment, Opcode.CHUNK: Chunk}
 _DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 DAMAGE = (McapError, ZstdError, DecodeError, LookupError, ValueError, OverflowError, MemoryError, struct.error)
 ANOTHER_COPY = "Copy it again from where it was recorded."
@@ -75,19 +76,6 @@ class _Channels:
             if record.message_encoding == "protobuf":
                 schema = self.schemas[record.schema_id]
                 self.layouts[record.id] = RowLayout.of_schema(schema.name, schema.data)
-
-
-class _Whole:
-    """A file whose reads never come short in silence: what was cut off ends there."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-
-    def read(self, size: int) -> bytes:
-        data = self._file.read(size)
-        if len(data) < size:
-            raise EndOfFile
-        return data
 
 
 class Container:
@@ -173,14 +161,11 @@ class Container:
         """
         try:
             with self.path.open("rb") as file:
-                if not file.peek(1):
-                    raise RecordingError(f"{self.path}: is empty. {ANOTHER_COPY}")
-                reader = StreamReader(_Whole(file), emit_chunks=True, record_size_limit=RECORD_LIMIT_BYTES)
-                yield from reader.records
-        except InvalidMagic:
-            raise RecordingError(f"{self.path}: is no MCAP file, or its end was overwritten. {ANOTHER_COPY}") from None
-        except EndOfFile:
-            return
+                magic = file.read(len(MAGIC))
+                if magic != MAGIC:
+                    what = "is no MCAP file" if magic else "is empty"
+                    raise RecordingError(f"{self.path}: {what}. {ANOTHER_COPY}")
+                yield from _records(file)
         except FileNotFoundError:
             raise RecordingError(f"{self.path}: there is no such file. Check the path.") from None
         except OSError as error:
@@ -215,6 +200,26 @@ class Container:
         if not pieces:
             raise RecordingError(f"{self.path}: holds no samples ({topic}): it was cut off before the first second.")
         return joined(pieces)
+
+
+def _records(file: BinaryIO) -> Iterator[McapRecord]:
+    """The records from here on that are of any use, to the footer or to where the file was cut off.
+
+    The package's own reader takes the message indexes apart, too, number by number: half of the time of a replay.
+    """
+    while len(head := file.read(9)) == 9:
+        opcode, length = struct.unpack("<BQ", head)
+        if length > RECORD_LIMIT_BYTES:
+            raise ValueError(f"a record of {length} bytes")
+        if opcode == Opcode.FOOTER:
+            return
+        if opcode not in _TAKEN:
+            file.seek(length, 1)
+            continue
+        content = file.read(length)
+        if len(content) < length:
+            return
+        yield _TAKEN[opcode].read(ReadDataStream(BytesIO(content)))
 
 
 def joined(pieces: list[Rows]) -> Rows:
