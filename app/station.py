@@ -24,10 +24,24 @@ from app.live import Hub
 from app.metrics import Metrics
 from app.plan import ServicePlan
 from app.runs import RunBook
+from app.store.keeper import Index
+from app.store.store import Store
 from app.supervisor import Condition, Supervisor
 from app.teller import Teller
 from app.watchdog import SILENCE_S, Watchdog
-from app.wire import AlarmKind, EventMessage, Grasp, GraspEnded, JournalKind, Phase, Priority, Run, RunState, State
+from app.wire import (
+    Alarm,
+    AlarmKind,
+    EventMessage,
+    Grasp,
+    GraspEnded,
+    JournalKind,
+    Phase,
+    Priority,
+    Run,
+    RunState,
+    State,
+)
 from config.errors import ServiceError
 from config.load import holdable
 from config.schema import Protocol, ToolKind
@@ -43,13 +57,14 @@ CLOCK_DRIFT_S = 5e-7  # a block: 100 ppm between the board's clock and the compu
 class Station:
     """One tool, its runs, its viewers."""
 
-    def __init__(self, plan: ServicePlan) -> None:
+    def __init__(self, plan: ServicePlan, store: Store) -> None:
         self.plan = plan
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
         self.metrics = Metrics()
         self.hub = Hub(plan.settings.server.chart_window_frames)
-        self.journal = Journal(plan.data, self._on_journal)
-        self.alarms = AlarmBook(self.hub.broadcast, self.journal)
+        self.index = Index(store, self._on_index)
+        self.journal = Journal(plan.data, self._on_journal, self.index.take)
+        self.alarms = AlarmBook(self._tell_alarm, self.journal)
         self.supervisor = Supervisor(plan, self._on_death)
         self.watchdog = Watchdog(self.supervisor, self.alarms, self.tell_event)
         self.runs = RunBook()
@@ -78,6 +93,8 @@ class Station:
 
     async def start(self) -> None:
         """Start the workers: first the estimator, whose filters may have to be compiled, then the tool."""
+        self.index.start()
+        self._end_runs_cut_short()
         if self.plan.opened:
             return
         endpoints = self.supervisor.endpoints
@@ -91,6 +108,13 @@ class Station:
             task.add_done_callback(self._on_task_end)
             self._tasks.append(task)
         self.supervisor.start_estimator()
+
+    def _end_runs_cut_short(self) -> None:
+        """Those of a service that was killed; unless another one lives, whose they may be."""
+        for run in self.index.store.cut_short() if self.index.store.first else []:
+            why = "the service was ended from outside during the run"
+            run = run.model_copy(update={"state": RunState.FAILED, "why": why})
+            self.journal.write(JournalKind.RUN, f"Run {run.id} failed: {why}", run=run)
 
     def _on_task_end(self, task: asyncio.Task[None]) -> None:
         """An unexpected end of a part of the server: motor to zero, say so, and be unhealthy from then on."""
@@ -117,6 +141,7 @@ class Station:
             await asyncio.gather(*self._tasks, return_exceptions=True)
             await self.supervisor.stop()
             self._context.destroy(linger=0)
+            await self.index.close()
 
     # --- commands ----------------------------------------------------------------------------------------------------
 
@@ -134,7 +159,7 @@ class Station:
             raise ServiceError(answer.refused)
         self.simulated_tissue = tissue or self.simulated_tissue
         held = f", {holdable(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
-        self.tell_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by)
+        self.tell_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by, run)
         self.tell_state()
         return run
 
@@ -223,6 +248,16 @@ class Station:
         else:
             self.alarms.end("journal")
 
+    def _on_index(self, fault: str | None) -> None:
+        if fault:
+            self.alarms.raise_technical("index", Priority.LOW, fault)
+        else:
+            self.alarms.end("index")
+
+    def _tell_alarm(self, alarm: Alarm) -> None:
+        self.index.take(alarm)
+        self.hub.broadcast(alarm)
+
     def _watch_disk(self) -> None:
         """Once a second: room for what is kept, and samples that were lost a while ago."""
         self._free_bytes = free_bytes(self.plan.data)
@@ -278,12 +313,14 @@ class Station:
     def _keep_grasp(self, grasp: Grasp) -> None:
         self.metrics.grasps.labels(grasp.label).inc()
         run_id, grasp = self.runs.keep(grasp, round(grasp.start_s * self.plan.tool.board.sample_rate_hz))
-        self.hub.broadcast(GraspEnded(run_id=run_id, grasp=grasp))
+        ended = GraspEnded(run_id=run_id, grasp=grasp)
+        self.index.take(ended)
+        self.hub.broadcast(ended)
 
     def _end_run(self, run_id: str, state: RunState, why: str) -> None:
         if not self.runs.end(run_id, state, why):
             return
-        self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN)
+        self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN, run=self.runs.get(run_id))
         if state is RunState.FAILED:
             text = f"The run was ended with the motor at zero: {why}"
             self.alarms.happened("run", AlarmKind.TECHNICAL, text)
@@ -377,9 +414,11 @@ class Station:
             return None
         return "the demonstration" if self.demo else run.by or "somebody without a name"
 
-    def tell_event(self, text: str, kind: JournalKind = JournalKind.EVENT, by: str | None = None) -> None:
+    def tell_event(
+        self, text: str, kind: JournalKind = JournalKind.EVENT, by: str | None = None, run: Run | None = None
+    ) -> None:
         """To the viewers and the journal."""
-        self.journal.write(kind, text, by=by)
+        self.journal.write(kind, text, by=by, run=run)
         self.hub.broadcast(EventMessage(server_time_ms=now_ms(), text=f"{text}, by {by}" if by else text))
 
     def greeting(self) -> tuple[list[Any], list[bytes]]:
