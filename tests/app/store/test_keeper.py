@@ -1,6 +1,7 @@
 """The index as a service keeps it: it waits for a database at fault, and never holds the event loop up."""
 
 import asyncio
+import resource
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ from messages import line, run
 from sqlalchemy import URL, text
 
 from app.store import keeper
-from app.store.database import engine_of
+from app.store.database import engine_of, index_url
 from app.store.keeper import Index
 from app.store.questions import AuditQuestion
 from app.store.store import Store
@@ -95,6 +96,25 @@ def test_a_fault_is_told_once_and_nothing_is_lost(url: URL, monkeypatch: pytest.
 
     assert keep(url, use).left_out == 0
     assert lines_in(url) == 49
+
+
+def test_a_full_disk_is_told_and_ends_when_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keeper, "AGAIN_S", 0.05)
+    url = index_url(None, tmp_path)
+
+    async def use(index: Index, told: list[str | None]) -> None:
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+        try:
+            index.take(line(1, "x" * 20_000))
+            await until(lambda: told)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert "make room" in str(told[0])
+        await until(lambda: told[-1] is None)
+
+    assert keep(url, use).left_out == 0
+    assert lines_in(url) == 1
 
 
 def test_what_there_is_no_room_for_is_counted_and_told(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
