@@ -9,10 +9,17 @@ from config.errors import ConfigurationError
 TOKEN = "0123456789abcdef0123"
 
 
-def asked_by(host: str, **headers: str) -> Request:
+def asked_by(address: str, **headers: str) -> Request:
     named = {"host": "localhost:8000", **headers}
     raw = [(name.replace("_", "-").encode(), value.encode()) for name, value in named.items()]
-    scope = {"type": "http", "client": (host, 5000), "headers": raw, "path": "/", "scheme": "http", "query_string": b""}
+    scope = {
+        "type": "http",
+        "client": (address, 5000),
+        "headers": raw,
+        "path": "/",
+        "scheme": "http",
+        "query_string": b"",
+    }
     return Request(scope)
 
 
