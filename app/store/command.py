@@ -20,7 +20,8 @@ def show(url: URL, data: Path, as_json: bool) -> None:
     if as_json:
         print(json.dumps(asdict(found), indent=2))
         return
-    table = Table(title=f"Index {found.where}", show_header=False)
+    table = Table(title="Index", show_header=False)
+    table.add_row("where", found.where)
     for name, count in found.counts.items():
         table.add_row(name, str(count))
     table.add_row("revision", _revision(found))
