@@ -25,6 +25,7 @@ from app.metrics import Metrics
 from app.plan import ServicePlan
 from app.runs import RunBook
 from app.store.keeper import Index
+from app.store.rebuild import BEHIND_MARKER
 from app.store.store import Store
 from app.supervisor import Condition, Supervisor
 from app.teller import Teller
@@ -62,7 +63,7 @@ class Station:
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
         self.metrics = Metrics()
         self.hub = Hub(plan.settings.server.chart_window_frames)
-        self.index = Index(store, self._on_index)
+        self.index = Index(store, plan.data / BEHIND_MARKER, self._on_index)
         self.journal = Journal(plan.data, self._on_journal, self.index.take)
         self.alarms = AlarmBook(self._tell_alarm, self.journal)
         self.supervisor = Supervisor(plan, self._on_death)
@@ -359,6 +360,7 @@ class Station:
             for frame in self._frames.cut():
                 self.hub.broadcast_frame(frame)
             self.metrics.viewers.set(len(self.hub.viewers))
+            self.metrics.index_left_out.set(self.index.left_out)
             self.watchdog.watch()
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()

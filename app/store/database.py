@@ -81,7 +81,7 @@ def writing(engine: Engine) -> Engine:
 
 def _prepare_sqlite(connection: Any, _: Any) -> None:
     connection.isolation_level = None  # transactions begin where `_begin_sqlite` says
-    for pragma in ("foreign_keys=ON", f"busy_timeout={BUSY_MS}", "journal_mode=WAL", "synchronous=NORMAL"):
+    for pragma in ("foreign_keys=ON", f"busy_timeout={BUSY_MS}", "synchronous=NORMAL"):
         connection.execute(f"PRAGMA {pragma}").close()
 
 
@@ -122,6 +122,14 @@ def bring_up_to_date(engine: Engine) -> None:
         configuration.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
         configuration.attributes.update(connection=connection, version_table=REVISION_TABLE)
         command.upgrade(configuration, "head")
+    if engine.dialect.name == "sqlite":
+        _write_ahead(engine)
+
+
+def _write_ahead(engine: Engine) -> None:
+    """Readers do not wait for writers. The file remembers it: another program's database is never changed to it."""
+    with faults_explained(engine.url), engine.connect() as connection:
+        connection.connection.execute("PRAGMA journal_mode=WAL").close()  # beside SQLAlchemy: not in a transaction
 
 
 def revision_of(connection: Connection) -> str | None:

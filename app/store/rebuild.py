@@ -24,8 +24,7 @@ from app.store.taking import Indexed, take
 from app.wire import FileRecord, JournalEntry
 from config.errors import GraspwatchError, ServiceError
 
-AT_ONCE = 500
-CAUGHT_UP_BYTES = 4_000_000  # of the journal's end; about 10,000 lines
+BEHIND_MARKER = "index.behind"  # in the data folder: something was left out of the index
 SQLITE_PARTS = ("", "-wal", "-shm")
 
 
@@ -71,7 +70,9 @@ def rebuild(url: URL, data: Path, readers: Iterable[Reader], progress: Callable[
     """
     if url.get_backend_name() != "sqlite":
         with contextlib.closing(Store(url, alone=True)) as store:
-            return _fill(store, data, readers, progress)
+            rebuilt = _fill(store, data, readers, progress)
+        (data / BEHIND_MARKER).unlink(missing_ok=True)
+        return rebuilt
     place = Path(url.database or "")
     new = place.with_name(f"{place.name}.new")
     try:
@@ -83,6 +84,7 @@ def rebuild(url: URL, data: Path, readers: Iterable[Reader], progress: Callable[
                 rebuilt.set_aside = _swap(new, place)
             finally:
                 _remove(new)
+            (data / BEHIND_MARKER).unlink(missing_ok=True)
             return rebuilt
     except OSError as error:
         raise ServiceError(
@@ -101,7 +103,7 @@ def _fill(store: Store, data: Path, readers: Iterable[Reader], progress: Callabl
             session.execute(delete(table))
         for path, size in sizes.items():
             if path in recordings:
-                _take_recording(session, path, recordings[path], rebuilt)
+                take_recording(session, path, recordings[path], rebuilt)
             else:
                 _take_journal(session, path, rebuilt)
             session.expunge_all()
@@ -110,7 +112,7 @@ def _fill(store: Store, data: Path, readers: Iterable[Reader], progress: Callabl
     return rebuilt
 
 
-def _take_recording(session: Session, path: Path, reader: Reader, rebuilt: Rebuilt) -> None:
+def take_recording(session: Session, path: Path, reader: Reader, rebuilt: Rebuilt) -> None:
     """A recording that cannot be read to its end gives what it has; its fault is told, and the others go on."""
     for part in (_messages_of, _record_of):
         try:
@@ -163,27 +165,6 @@ def _take_journal(session: Session, path: Path, rebuilt: Rebuilt) -> None:
                     rebuilt.broken_lines += 1
     except (OSError, EOFError) as error:
         rebuilt.problems.append(f"{path.name}: cannot be read to its end ({error})")
-
-
-def catch_up(store: Store, data: Path) -> None:
-    """Take those of the journal's last lines that the index lacks, because it could not be written when they were.
-
-    Raises:
-        ServiceError: the index cannot be written.
-    """
-    path = data / "journal.jsonl"
-    try:
-        with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(size - CAUGHT_UP_BYTES, 0))
-            if size > CAUGHT_UP_BYTES:
-                file.readline()  # the rest of a line
-            entries = [entry for entry in read_lines(file) if entry]
-    except OSError:
-        return  # none yet; one that cannot be read is told by who writes it
-    with faults_explained(store.url):
-        for begin in range(0, len(entries), AT_ONCE):
-            store.take_new_lines(entries[begin : begin + AT_ONCE])
 
 
 # --- files of SQLite --------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from sqlalchemy import func as sql
 
 from app.store.database import engine_of, faults_explained, newest_revision, revision_of
 from app.store.faults import shown
-from app.store.rebuild import Reader, read_lines, recordings_in
+from app.store.rebuild import BEHIND_MARKER, Reader, read_lines, recordings_in
 from app.store.tables import Table as Ours
 from app.store.taking import line_key
 
@@ -49,11 +49,11 @@ def status(url: URL, data: Path, readers: tuple[Reader, ...]) -> Status:
 
 
 def _behind(connection: Connection, tables: dict[str, Table], data: Path, readers: tuple[Reader, ...]) -> list[str]:
-    found: list[str] = []
+    found = ["what there was no room for while it could not be written"] if (data / BEHIND_MARKER).exists() else []
     names = set(connection.scalars(select(tables["files"].c.name)))
     missing = [path.name for path in recordings_in(data, readers) if path.name not in names]
     if missing:
-        found.append(f"{len(missing)} recordings, such as {missing[0]}")
+        found.append(f"{len(missing)} of the recordings, such as {missing[0]}")
     key = _last_line_key(data / "journal.jsonl")
     audit = tables["audit"]
     if key and connection.scalar(select(audit.c.key).where(audit.c.key == key)) is None:

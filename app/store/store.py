@@ -137,6 +137,10 @@ class Store:
         row = self._one(FileRow, name)
         return FileRecord.model_validate(row.message) if row else None
 
+    def file_names(self) -> set[str]:
+        with faults_explained(self.url), Session(self._engine) as session:
+            return set(session.scalars(select(FileRow.name)))
+
     def content(self) -> dict[str, list[dict[str, object]]]:
         """Everything, sorted: two indexes are equal if this is."""
         with faults_explained(self.url), self._engine.connect() as connection:

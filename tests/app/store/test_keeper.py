@@ -2,6 +2,7 @@
 
 import asyncio
 import resource
+import threading
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -14,13 +15,17 @@ from app.store import keeper
 from app.store.database import engine_of, index_url
 from app.store.keeper import Index
 from app.store.questions import AuditQuestion
+from app.store.rebuild import BEHIND_MARKER, rebuild
+from app.store.status import status
 from app.store.store import Store
 
 
-def keep(url: URL, use: Callable[[Index, list[str | None]], Awaitable[None]]) -> Index:
+def keep(
+    url: URL, use: Callable[[Index, list[str | None]], Awaitable[None]], marker: Path = Path("/nowhere/marker")
+) -> Index:
     async def used() -> Index:
         told: list[str | None] = []
-        index = Index(Store(url), told.append)
+        index = Index(Store(url), marker, told.append)
         index.start()
         try:
             await use(index, told)
@@ -117,7 +122,9 @@ def test_a_full_disk_is_told_and_ends_when_there_is_room(tmp_path: Path, monkeyp
     assert lines_in(url) == 1
 
 
-def test_what_there_is_no_room_for_is_counted_and_told(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_there_is_no_room_for_is_counted_and_told_until_a_rebuild(
+    url: URL, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(keeper, "AGAIN_S", 0.05)
     monkeypatch.setattr(keeper, "WAITING", 10)
     monkeypatch.setattr(keeper, "AT_ONCE", 1)
@@ -133,9 +140,19 @@ def test_what_there_is_no_room_for_is_counted_and_told(url: URL, monkeypatch: py
         await until(lambda: told[-1] and "graspwatch index --rebuild" in told[-1])
         await until(lambda: not index._queue.qsize())
 
-    index = keep(url, use)
+    index = keep(url, use, tmp_path / BEHIND_MARKER)
     assert index.left_out + lines_in(url) == 100
     assert index.left_out >= 80
+
+    async def use_again(index: Index, told: list[str | None]) -> None:
+        index.take(line(200))
+        await until(lambda: told)
+        assert await index.settled()
+
+    keep(url, use_again, tmp_path / BEHIND_MARKER)
+    assert "could not be written" in status(url, tmp_path, ()).behind[0]
+    rebuild(url, tmp_path, (), lambda _: None)
+    assert status(url, tmp_path, ()).behind == []
 
 
 def test_a_message_that_no_table_takes_is_left_out_alone(url: URL) -> None:
@@ -160,3 +177,16 @@ def test_a_database_at_fault_does_not_hold_up_the_end(url: URL, tmp_path: Path) 
     index = keep(url, use)
     assert time.monotonic() - begin_s < 5.0
     assert index.left_out == 1
+
+
+def test_a_bug_in_the_writer_is_told(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+
+    async def use(index: Index, told: list[str | None]) -> None:
+        monkeypatch.setattr(index.store, "take_all", lambda _: 1 / 0)
+        index.take(line(1))
+        await until(lambda: told)
+        assert "failed inside" in str(told[0])
+        assert not await index.settled()
+
+    keep(url, use)

@@ -10,12 +10,14 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from messages import alarm, grasp, line, record, run
+from recorded import READERS, write_recording
 from sqlalchemy import URL, text
 
 from app.store import claim, database
 from app.store.database import REVISION_TABLE, engine_of, index_url, newest_revision, revision_of
 from app.store.opening import open_for_service
 from app.store.questions import AuditQuestion, FileQuestion, GraspQuestion
+from app.store.rebuild import BEHIND_MARKER
 from app.store.store import Store
 from app.store.tables import Table
 from config.errors import ConfigurationError, GraspwatchError, ServiceError
@@ -146,8 +148,10 @@ def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
     with sqlite3.connect(tmp_path / "index.sqlite") as connection:
         connection.execute("CREATE TABLE patients (name TEXT)")
     connection.close()
+    before = (tmp_path / "index.sqlite").read_bytes()
     with pytest.raises(ServiceError, match=r"of something else .*'patients'.*graspwatch index --rebuild"):
         Store(index_url(None, tmp_path))
+    assert (tmp_path / "index.sqlite").read_bytes() == before
 
 
 @pytest.mark.parametrize(
@@ -212,6 +216,18 @@ def test_lines_that_the_index_missed_are_taken_at_the_next_start(url: URL, tmp_p
     store = open_for_service(url, tmp_path)
     assert [each.text for each in store.audit(AuditQuestion(order="oldest")).items] == ["Run started", "An alarm"]
     assert store.first
+    store.close()
+
+
+@pytest.mark.parametrize(("recordings", "behind"), [(3, False), (4, True)])
+def test_the_recording_of_a_killed_service_is_taken_at_the_next_start(
+    url: URL, tmp_path: Path, recordings: int, behind: bool
+) -> None:
+    for number in range(recordings):
+        write_recording(tmp_path, record(number), [run(number), grasp(number)])
+    store = open_for_service(url, tmp_path, READERS)
+    assert store.grasps(GraspQuestion()).total == (0 if behind else recordings)
+    assert (tmp_path / BEHIND_MARKER).exists() is behind
     store.close()
 
 

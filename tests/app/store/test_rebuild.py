@@ -169,4 +169,7 @@ def test_the_status_says_what_the_index_lacks_and_changes_nothing(url: URL, tmp_
     write_recording(tmp_path, record(2), [run(2)])
     with (tmp_path / "journal.jsonl").open("a") as file:
         file.write(f"{line(2).line()}\n")
-    assert status(url, tmp_path, READERS).behind == ["1 recordings, such as run-002.rec", "the journal's last line"]
+    assert status(url, tmp_path, READERS).behind == [
+        "1 of the recordings, such as run-002.rec",
+        "the journal's last line",
+    ]
