@@ -30,7 +30,7 @@ class Journal:
 
     def write(self, kind: JournalKind, text: str, **facts: Any) -> bool:
         """`facts`: other fields of `JournalEntry`. False: it is not in the file."""
-        entry = JournalEntry(at=datetime.now(UTC).isoformat(timespec="milliseconds"), kind=kind, text=text, **facts)
+        entry = JournalEntry(at=datetime.now(UTC).isoformat(timespec="microseconds"), kind=kind, text=text, **facts)
         self._entries.append(entry)
         self._tell(entry)
         logging.getLogger("graspwatch").info("%s: %s", kind.value, text)

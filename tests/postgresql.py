@@ -37,7 +37,7 @@ def server() -> Iterator[str]:
             os.chown(folder, owner.pw_uid, owner.pw_gid)
         data, log = folder / "data", folder / "log"
         _run(folder, binaries / "initdb", "-D", data, "-U", "tester", "-A", "scram-sha-256", "--pwfile", _word(folder),
-             "-E", "UTF8", "--no-sync")  # fmt: skip
+             "-E", "UTF8", "--locale", "C.UTF-8", "--no-sync")  # fmt: skip
         options = f"-p {PORT} -k {folder} -c listen_addresses='' -c fsync=off -c full_page_writes=off"
         _run(folder, binaries / "pg_ctl", "-D", data, "-l", log, "-o", options, "-w", "start")
         try:

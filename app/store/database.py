@@ -41,12 +41,12 @@ def index_url(setting: str | None, data: Path) -> URL:
     advice = "Write postgresql://user@host/database or sqlite:////folder/index.sqlite, or leave it out."
     try:
         url = make_url(setting)
-    except ArgumentError:
+    except (ArgumentError, ValueError):  # the latter for a port that is no number
         raise ConfigurationError(f"index_url: is no address of a database. {advice}") from None
     match url.drivername:
         case "postgresql" | "postgres" | "postgresql+psycopg":
             return url.set(drivername="postgresql+psycopg")
-        case "sqlite" if url.database and url.database != ":memory:":
+        case "sqlite" if url.database and url.database != ":memory:" and not url.query:
             return url.set(database=os.path.abspath(url.database))
     raise ConfigurationError(f"index_url: {url.drivername!r} does not do as an index. {advice}")
 
@@ -103,7 +103,7 @@ def bring_up_to_date(engine: Engine) -> None:
     """Make the tables, or migrate those of an older index, in one transaction.
 
     Raises:
-        ServiceError: the database is not reached, damaged, of something else, or of a newer Graspwatch.
+        ServiceError: the database is not reached, damaged, read-only, of something else, or of a newer Graspwatch.
     """
     # PostgreSQL: at its usual isolation, which sees what another service made while this one waited for the lock
     migrating = writing(engine) if engine.dialect.name == "sqlite" else engine
@@ -122,6 +122,7 @@ def bring_up_to_date(engine: Engine) -> None:
         configuration.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
         configuration.attributes.update(connection=connection, version_table=REVISION_TABLE)
         command.upgrade(configuration, "head")
+        connection.execute(text(f"UPDATE {REVISION_TABLE} SET version_num = version_num"))  # fails if it is read-only
     if engine.dialect.name == "sqlite":
         _write_ahead(engine)
 

@@ -1,9 +1,11 @@
 """Opening an index: migration of an older one, and one clear message for each that cannot be opened."""
 
+import multiprocessing
 import os
 import sqlite3
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -158,6 +160,8 @@ def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
     ("setting", "says"),
     [
         ("nonsense", "no address of a database"),
+        ("postgresql://ada:secret@db:port/x", "no address of a database"),
+        ("sqlite:///x?mode=memory", "'sqlite' does not do"),
         ("mysql://ada:secret@db/x", "'mysql' does not do"),
         ("sqlite://", "'sqlite' does not do"),
     ],
@@ -193,12 +197,36 @@ def test_a_missing_driver_says_what_to_install(tmp_path: Path, monkeypatch: pyte
         Store(index_url("postgresql://ada@db/x", tmp_path))
 
 
-def test_a_read_only_folder_is_one_clear_message(tmp_path: Path) -> None:
+def refusal_for_nobody(folder: Path, answers: multiprocessing.SimpleQueue) -> None:
+    """Root may write everywhere; nobody may not."""
     if os.getuid() == 0:
-        pytest.skip("root may write everywhere")
-    tmp_path.chmod(0o500)
-    with pytest.raises(ServiceError, match="cannot be written"):
-        Store(index_url(None, tmp_path))
+        os.setgid(65534)
+        os.setuid(65534)
+    try:
+        Store(index_url(None, folder))
+        answers.put("it was opened")
+    except ServiceError as error:
+        answers.put(str(error))
+
+
+@pytest.mark.parametrize(
+    ("folder_mode", "file_mode", "says"),
+    [(0o555, 0o644, "cannot be written (Permission denied)"), (0o777, 0o444, "read-only: allow writing")],
+)
+def test_what_is_read_only_is_one_clear_message(folder_mode: int, file_mode: int, says: str) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        Store(index_url(None, folder)).close()
+        (folder / "index.sqlite").chmod(file_mode)
+        (folder / "index.sqlite.lock").chmod(0o666 if folder_mode == 0o777 else 0o444)
+        folder.chmod(folder_mode)
+        context = multiprocessing.get_context("fork")
+        answers = context.SimpleQueue()
+        process = context.Process(target=refusal_for_nobody, args=(folder, answers))
+        process.start()
+        process.join(30)
+        assert says in answers.get()
+        folder.chmod(0o755)
 
 
 def test_a_folder_that_is_gone_is_one_clear_message(tmp_path: Path) -> None:

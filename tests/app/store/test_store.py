@@ -135,7 +135,7 @@ def random_messages(seed: int, count: int) -> list[Indexed]:
     return [chance.choice(makers)() for _ in range(count)]
 
 
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32), count=st.integers(0, 30))
 def test_any_messages_taken_twice_or_in_another_order_give_the_same_index(store: Store, seed: int, count: int) -> None:
     messages = random_messages(seed, count)
