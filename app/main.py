@@ -44,10 +44,11 @@ def create_app(plan: ServicePlan) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         station = app.state.station = Station(plan, store)
         desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
+        index = contextlib.aclosing(station.index)  # closed last: whatever ends has something to tell
         films, shelf = contextlib.aclosing(Films(plan)), contextlib.aclosing(Shelf(plan))
         await station.start()
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
-        async with desk as app.state.studies, films as app.state.films, shelf as app.state.shelf:
+        async with index, desk as app.state.studies, films as app.state.films, shelf as app.state.shelf:
             try:
                 yield
             finally:

@@ -142,7 +142,6 @@ class Station:
             await asyncio.gather(*self._tasks, return_exceptions=True)
             await self.supervisor.stop()
             self._context.destroy(linger=0)
-            await self.index.close()
 
     # --- commands ----------------------------------------------------------------------------------------------------
 

@@ -1,7 +1,6 @@
 """Recordings: the list, the files, and replays."""
 
 import asyncio
-import logging
 from datetime import UTC, datetime
 from http import HTTPStatus
 from pathlib import Path
@@ -92,12 +91,12 @@ async def delete(request: Request, name: str, by: Annotated[Person, Query(descri
         station.journal.write(JournalKind.DELETED, f"Recording {name} stays", by=by, file=before)
         detail = "The journal cannot be written, and nothing is deleted without a line in it. Make room by other means."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail)
+    await station.index.settled()
     try:
-        await asyncio.to_thread(path.unlink)
+        await asyncio.to_thread(path.unlink, missing_ok=True)
     except OSError as error:
         text = f"Recording {name} could not be deleted: {error.strerror}"
         station.journal.write(JournalKind.DELETED, text, by=by, file=before)
-        logging.getLogger("graspwatch").warning(text)
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, f"{text}. Allow writing in its folder.") from None
     station.tell_event(f"Recording {name} deleted", JournalKind.EVENT, by)
 

@@ -87,7 +87,7 @@ class Index:
         await self.settled()
         return await asyncio.to_thread(question, *arguments)
 
-    async def close(self) -> None:
+    async def aclose(self) -> None:
         """Write what waits; what cannot be written in a few seconds is left to a rebuild, and said so in the log."""
         self._closing.set()
         with contextlib.suppress(queue.Full):

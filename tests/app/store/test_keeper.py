@@ -30,7 +30,7 @@ def keep(
         try:
             await use(index, told)
         finally:
-            await index.close()
+            await index.aclose()
         return index
 
     return asyncio.run(used())
