@@ -15,9 +15,11 @@ from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 from app.store.faults import REBUILD, cause, shown
 from app.store.store import Store
 from app.store.taking import Indexed
+from app.wire import Alarm
 
 WAITING = 20_000  # messages; further ones are left out, counted and told: the files have them
 AT_ONCE = 500
+GATHER_S = 0.02  # what comes together is written together: the event loop has the same interpreter
 AGAIN_S = 2.0
 LAST_WORDS_S = 5.0
 SETTLED_S = 1.0
@@ -122,7 +124,7 @@ class Index:
     def _write(self) -> None:
         while not (self._closing.is_set() and self._queue.empty()):
             batch = self._next()
-            messages = [each for each in batch if not isinstance(each, threading.Event)]
+            messages = _newest([each for each in batch if not isinstance(each, threading.Event)])
             while messages and not self._written(messages):
                 if self._closing.wait(AGAIN_S):
                     self._leave_out(len(messages))
@@ -133,6 +135,7 @@ class Index:
 
     def _next(self) -> list[Taken | threading.Event]:
         batch = [self._queue.get()]
+        self._closing.wait(GATHER_S)
         with contextlib.suppress(queue.Empty):
             while len(batch) < AT_ONCE:
                 batch.append(self._queue.get_nowait())
@@ -155,3 +158,9 @@ class Index:
         self._broken = None
         self._tell()
         return True
+
+
+def _newest(messages: list[Taken]) -> list[Taken]:
+    """Without changes of an alarm that were overtaken meanwhile: while the force rises, there is one for each block."""
+    last = {message.id: message for message, _ in messages if isinstance(message, Alarm)}
+    return [each for each in messages if not isinstance(each[0], Alarm) or last[each[0].id] is each[0]]

@@ -8,13 +8,13 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
-from messages import line, run
+from messages import alarm, line, run
 from sqlalchemy import URL, text
 
 from app.store import keeper
 from app.store.database import engine_of, index_url
 from app.store.keeper import Index
-from app.store.questions import AuditQuestion
+from app.store.questions import AlarmQuestion, AuditQuestion
 from app.store.rebuild import BEHIND_MARKER, rebuild
 from app.store.status import status
 from app.store.store import Store
@@ -177,6 +177,16 @@ def test_a_database_at_fault_does_not_hold_up_the_end(url: URL, tmp_path: Path) 
     index = keep(url, use)
     assert time.monotonic() - begin_s < 5.0
     assert index.left_out == 1
+
+
+def test_an_alarm_that_changes_all_the_time_is_there_as_it_was_last(url: URL) -> None:
+    async def use(index: Index, told: list[str | None]) -> None:
+        for change in range(1, 500):
+            index.take(alarm(change, id=f"force-{change % 2}"))
+        found = await index.ask(index.store.alarms, AlarmQuestion(order="oldest"))
+        assert [each.change for each in found.items] == [498, 499]
+
+    keep(url, use)
 
 
 def test_a_bug_in_the_writer_is_told(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
