@@ -68,29 +68,36 @@ def rebuild(url: URL, data: Path, readers: Iterable[Reader], progress: Callable[
     Raises:
         ServiceError: a service uses the index, or the new one cannot be written: the old one is as it was.
     """
-    if url.get_backend_name() != "sqlite":
-        with contextlib.closing(Store(url, alone=True)) as store:
-            rebuilt = _fill(store, data, readers, progress)
-        (data / BEHIND_MARKER).unlink(missing_ok=True)
-        return rebuilt
-    place = Path(url.database or "")
-    new = place.with_name(f"{place.name}.new")
     try:
-        with Claim(engine_of(url), alone=True):
-            _remove(new)  # of a rebuild that was broken off
-            try:
-                with contextlib.closing(Store(url.set(database=str(new)), alone=True)) as store:
-                    rebuilt = _fill(store, data, readers, progress)
-                rebuilt.set_aside = _swap(new, place)
-            finally:
-                _remove(new)
-            (data / BEHIND_MARKER).unlink(missing_ok=True)
-            return rebuilt
+        rebuilt = (_in_new_file if url.get_backend_name() == "sqlite" else _in_place)(url, data, readers, progress)
+        (data / BEHIND_MARKER).unlink(missing_ok=True)
     except OSError as error:
         raise ServiceError(
             f"The index cannot be rebuilt ({error.strerror}: {error.filename}). Make room or mend it; the old one is "
             "as it was."
         ) from None
+    return rebuilt
+
+
+def _in_place(url: URL, data: Path, readers: Iterable[Reader], progress: Callable[[float], None]) -> Rebuilt:
+    """In one transaction."""
+    with contextlib.closing(Store(url, alone=True)) as store:
+        return _fill(store, data, readers, progress)
+
+
+def _in_new_file(url: URL, data: Path, readers: Iterable[Reader], progress: Callable[[float], None]) -> Rebuilt:
+    """Beside the old one, which may be damaged; the two are exchanged at the end."""
+    place = Path(url.database or "")
+    new = place.with_name(f"{place.name}.new")
+    with Claim(engine_of(url), alone=True):
+        _remove(new)  # of a rebuild that was broken off
+        try:
+            with contextlib.closing(Store(url.set(database=str(new)), alone=True)) as store:
+                rebuilt = _fill(store, data, readers, progress)
+            rebuilt.set_aside = _swap(new, place)
+        finally:
+            _remove(new)
+    return rebuilt
 
 
 def _fill(store: Store, data: Path, readers: Iterable[Reader], progress: Callable[[float], None]) -> Rebuilt:
