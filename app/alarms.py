@@ -109,7 +109,7 @@ class AlarmBook:
             ended_ms=None,
             acknowledged_by=None if worse else before.acknowledged_by,
         )
-        self._keep(key, alarm)
+        alarm = self._keep(key, alarm)
         if worse or text != before.text:
             self._note(JournalKind.ALARM, alarm, f"{priority.value.capitalize()} alarm: {text}")
 
@@ -117,7 +117,7 @@ class AlarmBook:
         """The cause is gone."""
         alarm = self._alarms.get(key)
         if alarm and alarm.active:
-            self._keep(key, alarm.model_copy(update={"active": False, "ended_ms": _at(at_ms)}))
+            alarm = self._keep(key, alarm.model_copy(update={"active": False, "ended_ms": _at(at_ms)}))
             self._note(JournalKind.ALARM, alarm, f"Over: {alarm.text}")
 
     def acknowledge(self, alarm_id: str, seen: Priority, by: str) -> Alarm:
@@ -133,22 +133,26 @@ class AlarmBook:
         if RANK[self._alarms[key].priority] > RANK[seen]:
             raise RefusedError("The alarm is worse by now: look at it again.", "priority")
         alarm = self._alarms[key].model_copy(update={"acknowledged_by": by, "latched": False})
-        self._keep(key, alarm)
+        alarm = self._keep(key, alarm)
         self._note(JournalKind.ACKNOWLEDGED, alarm, f"Acknowledged: {alarm.text}", by)
         return alarm
 
-    def _keep(self, key: str, alarm: Alarm) -> None:
+    def _keep(self, key: str, alarm: Alarm) -> Alarm:
+        before = self._alarms.get(key)
+        alarm = alarm.model_copy(update={"change": before.change + 1 if before else 1})
         if alarm.active or alarm.latched:
             self._alarms[key] = alarm
         else:
             self._alarms.pop(key, None)
         self._tell(alarm)
+        return alarm
 
     def _note(self, kind: JournalKind, alarm: Alarm, text: str, by: str | None = None) -> None:
         if self._journal:
             self._journal.write(
-                kind, text, by=by, priority=alarm.priority, value=alarm.value, limit=alarm.limit, unit=alarm.unit
-            )
+                kind, text, by=by, priority=alarm.priority, value=alarm.value, limit=alarm.limit, unit=alarm.unit,
+                alarm=alarm,
+            )  # fmt: skip
 
 
 def _at(at_ms: float | None) -> float:

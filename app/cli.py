@@ -189,6 +189,33 @@ def replay(
     _print_reports(documents, as_json)
 
 
+@app.command()
+def index(
+    anew: Annotated[bool, typer.Option("--rebuild", help="Build it anew from the recordings and the journal.")] = False,
+    config: ConfigOption = None,
+    data: DataOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Tell what the index of runs holds and lacks, or build it anew. The old one is set aside, never deleted.
+
+    Example: graspwatch index --rebuild --data graspwatch-data
+    """
+    from app.store import command
+    from app.store.database import index_url
+
+    settings = load_settings(config)
+    folder = data_folder(data, settings)
+    setting = settings.index_url.get_secret_value() if settings.index_url else None
+    url = index_url(setting, folder)
+    if not anew:
+        command.show(url, folder, as_json)
+        return
+    if as_json:
+        raise ConfigurationError("--json tells what the index holds; leave it out with --rebuild.")
+    with ProgressBar("Rebuilding the index", 1.0) as progress:
+        command.build_anew(url, folder, errors, progress)
+
+
 def _simulated_tool(settings: Settings) -> Tool:
     """The tool that the settings name if it is a simulated one, else the shipped simulated one."""
     named = load_tool(settings.tool)
@@ -196,11 +223,12 @@ def _simulated_tool(settings: Settings) -> Tool:
 
 
 def _serve(plan: Any, host: str | None, port: int | None) -> None:
-    from app.main import listen
-    from app.main import serve as serve_plan
+    from app.main import create_app, listen
+    from app.main import serve as serve_app
 
     server = plan.settings.server
     listener = listen(host or server.host, server.port if port is None else port)
+    application = create_app(plan)
     address, bound = listener.getsockname()[:2]
     shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else address
     what = f"replay of {', '.join(path.name for path in plan.opened)}" if plan.opened else plan.tool.title
@@ -210,7 +238,7 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
             "Preparing the filters; the very first start compiles them, which takes up to a minute.", soft_wrap=True
         )
     print(f"Dashboard: http://{shown}:{bound}/  (API: http://{shown}:{bound}/docs)  Ctrl+C ends it.", flush=True)
-    serve_plan(plan, listener)
+    serve_app(application, listener)
 
 
 def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:

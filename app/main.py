@@ -18,8 +18,10 @@ from app.demo import demonstrate
 from app.plan import ServicePlan
 from app.replay.films import Films
 from app.replay.shelf import Shelf
-from app.routes import alarms, catalogue, live, recordings, runs, studies, system
+from app.roles import Admin, is_loopback
+from app.routes import alarms, catalogue, history, live, recordings, runs, studies, system
 from app.station import Station
+from app.store.opening import open_for_service
 from app.study.desk import StudyDesk
 from config.errors import ServiceError
 
@@ -30,16 +32,23 @@ DOCUMENTATION = ("/docs", "/redoc", "/static-offline-docs")
 
 
 def create_app(plan: ServicePlan) -> FastAPI:
-    """The application for a plan; its workers live as long as it does."""
+    """The application for a plan; its workers live as long as it does.
+
+    Raises:
+        GraspwatchError: the index cannot be opened, or the admin's token not be read.
+    """
+    admin = Admin(plan.settings.server.admin_token_file)
+    store = open_for_service(plan.index_url, plan.data)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        station = app.state.station = Station(plan)
+        station = app.state.station = Station(plan, store)
         desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
+        index = contextlib.aclosing(station.index)  # closed last: whatever ends has something to tell
         films, shelf = contextlib.aclosing(Films(plan)), contextlib.aclosing(Shelf(plan))
         await station.start()
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
-        async with desk as app.state.studies, films as app.state.films, shelf as app.state.shelf:
+        async with index, desk as app.state.studies, films as app.state.films, shelf as app.state.shelf:
             try:
                 yield
             finally:
@@ -53,8 +62,9 @@ def create_app(plan: ServicePlan) -> FastAPI:
         description="Watches a laparoscopic grasper close on tissue. Research instrument, not a medical device.",
         lifespan=lifespan,
     )
+    app.state.admin = admin
     problems.install(app)
-    for routes in (runs, alarms, catalogue, system, studies, recordings, live):
+    for routes in (runs, history, alarms, catalogue, system, studies, recordings, live):
         app.include_router(routes.router)
     app.middleware("http")(_add_security_headers)
     if (STATIC / "index.html").is_file():
@@ -106,10 +116,11 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def serve(plan: ServicePlan, listener: socket.socket) -> None:
+def serve(app: FastAPI, listener: socket.socket) -> None:
     """Serve until SIGINT or SIGTERM."""
+    app.state.admin.only_this_machine = is_loopback(listener.getsockname()[0])
     config = uvicorn.Config(
-        create_app(plan),
+        app,
         ws="websockets-sansio",
         ws_per_message_deflate=False,
         log_level="warning",

@@ -18,6 +18,9 @@ class Metrics:
             "graspwatch_missing_blocks", "Blocks lost between the workers", ["receiver"], registry=registry
         )
         self.grasps = Counter("graspwatch_grasps", "Finished grasps", ["label"], registry=registry)
+        self.index_left_out = Gauge(
+            "graspwatch_index_left_out", "Messages that the index lacks until it is rebuilt", registry=registry
+        )
         self.viewers = Gauge("graspwatch_viewers", "Connected viewers", registry=registry)
         self.estimate_latency = Histogram(
             "graspwatch_estimate_latency_seconds",

@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from sqlalchemy import URL
+
+from app.store.database import index_url
 from config.schema import Settings, TissueLibrary, Tool
 
 
@@ -24,6 +27,16 @@ class ServicePlan:
     recorded_with: Tool
     opened: tuple[Path, ...] = ()
     demo: bool = False
+
+    @property
+    def index_url(self) -> URL:
+        """Where the index is.
+
+        Raises:
+            ConfigurationError: the setting is no address of a database.
+        """
+        setting = self.settings.index_url
+        return index_url(setting.get_secret_value() if setting else None, self.data)
 
     @property
     def recordings_folder(self) -> Path:

@@ -8,7 +8,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from app.wire import Problem
-from config.errors import GraspwatchError
+from config.errors import GraspwatchError, ServiceError
 
 PROBLEM = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}
 
@@ -42,6 +42,10 @@ def install(app: FastAPI) -> None:
         ]
         detail = "; ".join(f"{fault['field']}: {fault['message']}" for fault in errors)
         return _answer(HTTPStatus.UNPROCESSABLE_ENTITY, detail, errors)
+
+    @app.exception_handler(ServiceError)
+    async def on_part_missing(request: Request, error: ServiceError) -> JSONResponse:
+        return _answer(HTTPStatus.SERVICE_UNAVAILABLE, str(error))
 
     @app.exception_handler(GraspwatchError)
     async def on_fault(request: Request, error: GraspwatchError) -> JSONResponse:

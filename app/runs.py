@@ -1,5 +1,6 @@
 """The book of runs: which one is under way, which came before, and whose each grasp is."""
 
+import secrets
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -22,6 +23,7 @@ class RunBook:
     def __init__(self) -> None:
         self._entries: dict[str, _Entry] = {}
         self._count = 0
+        self._mark = secrets.token_hex(2)  # two services that share an index may start a run in the same second
         self._epoch = 0
         self.current_id: str | None = None
 
@@ -50,7 +52,8 @@ class RunBook:
         self._count += 1
         now = datetime.now(UTC)
         run = Run(
-            id=f"{prefix}{now:%Y%m%d-%H%M%S}-{self._count:03d}", protocol=protocol, cycles=cycles, tissue=tissue, by=by,
+            id=f"{prefix}{now:%Y%m%d-%H%M%S}-{self._mark}-{self._count:03d}",
+            protocol=protocol, cycles=cycles, tissue=tissue, by=by,
             state=RunState.RUNNING, started_at=now.isoformat(), ended_at=None, why=None, grasps=0,
         )  # fmt: skip
         self._entries[run.id] = _Entry(run, start_tick, self._epoch)

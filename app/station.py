@@ -27,10 +27,25 @@ from app.plan import ServicePlan
 from app.record.link import RecorderLink
 from app.record.recorder import DEMONSTRATION, Brief
 from app.runs import RunBook
+from app.store.keeper import Index
+from app.store.rebuild import BEHIND_MARKER
+from app.store.store import Store
+from app.store.taking import Indexed
 from app.supervisor import Condition, Supervisor
 from app.teller import Teller
 from app.watchdog import SILENCE_S, Watchdog
-from app.wire import AlarmKind, EventMessage, Grasp, GraspEnded, JournalKind, Phase, Priority, Run, RunState, State
+from app.wire import (
+    AlarmKind,
+    EventMessage,
+    Grasp,
+    GraspEnded,
+    JournalKind,
+    Phase,
+    Priority,
+    Run,
+    RunState,
+    State,
+)
 from config.errors import ServiceError
 from config.load import holdable
 from config.schema import Protocol, ToolKind
@@ -46,11 +61,12 @@ CLOCK_DRIFT_S = 5e-7  # a block: 100 ppm between the board's clock and the compu
 class Station:
     """One tool, its runs, its viewers."""
 
-    def __init__(self, plan: ServicePlan) -> None:
+    def __init__(self, plan: ServicePlan, store: Store) -> None:
         self.plan = plan
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
         self.metrics = Metrics()
         self.hub = Hub(plan.settings.server.chart_window_frames)
+        self.index = Index(store, plan.data / BEHIND_MARKER, self._on_index)
         self.journal = Journal(plan.data, self._on_journal, self._keep)
         self.alarms = AlarmBook(self._tell, self.journal)
         self.supervisor = Supervisor(plan, self._on_death)
@@ -60,8 +76,7 @@ class Station:
         self.internal_error: str | None = None
         self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED else None
         self._context = zmq.asyncio.Context()
-        recorded = plan.settings.recording.enabled and not plan.opened
-        self.recorder = RecorderLink(self.supervisor.endpoints.events, enabled=recorded)
+        self.recorder = RecorderLink(plan, self.supervisor.endpoints.events, self.alarms, self.index, self.tell_event)
         self._tasks: list[asyncio.Task[None]] = []
         rate_hz, tissues = plan.tool.board.sample_rate_hz, len(plan.library.tissues)
         self._frames = FrameBuffer(int(plan.settings.server.history_s * rate_hz))
@@ -83,6 +98,8 @@ class Station:
 
     async def start(self) -> None:
         """Start the workers: first the estimator, whose filters may have to be compiled, then the tool."""
+        self.index.start()
+        self._end_runs_cut_short()
         if self.plan.opened:
             return
         endpoints = self.supervisor.endpoints
@@ -98,6 +115,13 @@ class Station:
             self._tasks.append(task)
         self.supervisor.start_recorder()
         self.supervisor.start_estimator()
+
+    def _end_runs_cut_short(self) -> None:
+        """Those of a service that was killed; unless another one lives, whose they may be."""
+        for run in self.index.store.cut_short() if self.index.store.first else []:
+            why = "the service was ended from outside during the run"
+            run = run.model_copy(update={"state": RunState.FAILED, "why": why})
+            self.journal.write(JournalKind.RUN, f"Run {run.id} failed: {why}", run=run)
 
     def _on_task_end(self, task: asyncio.Task[None]) -> None:
         """An unexpected end of a part of the server: motor to zero, say so, and be unhealthy from then on."""
@@ -123,7 +147,7 @@ class Station:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)
             await self.supervisor.stop()
-            self.recorder.close()
+            await self.recorder.aclose()
             self._context.destroy(linger=0)
 
     # --- commands ----------------------------------------------------------------------------------------------------
@@ -145,7 +169,7 @@ class Station:
         self._keep(run)
         self.simulated_tissue = tissue or self.simulated_tissue
         held = f", {holdable(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
-        self.tell_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by)
+        self.tell_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by, run)
         self.tell_state()
         return run
 
@@ -230,6 +254,8 @@ class Station:
 
     def _keep(self, message: BaseModel) -> None:
         self.recorder.tell(message)
+        if isinstance(message, Indexed):
+            self.index.take(message)
 
     def _forget_grasp(self) -> None:
         """A worker begins anew: nobody will tell the end of what was under way."""
@@ -241,6 +267,12 @@ class Station:
             self.alarms.raise_technical("journal", Priority.LOW, fault)
         else:
             self.alarms.end("journal")
+
+    def _on_index(self, fault: str | None) -> None:
+        if fault:
+            self.alarms.raise_technical("index", Priority.LOW, fault)
+        else:
+            self.alarms.end("index")
 
     def _watch_disk(self) -> None:
         """Once a second: room for what is kept, and samples that were lost a while ago."""
@@ -295,23 +327,12 @@ class Station:
         self.tell_state()
 
     def _on_recorder(self, parts: list[bytes]) -> None:
-        notice = bus.unpack_notice(parts)
-        match notice["kind"]:
-            case "recording":
-                self.watchdog.heard("recorder")
-                self.supervisor.workers["recorder"].condition = Condition.RUNNING
-                before = self.recorder.state
-                self.recorder.heard(notice)
-                if self.recorder.state.file and not before.file:
-                    self.alarms.end("recording")
-                if self.recorder.state.file != before.file:
-                    self.tell_state()
-            case "recording_stopped":
-                self.recorder.stopped(notice["text"])
-                self.alarms.raise_technical("recording", Priority.MEDIUM, notice["text"])
-                self.tell_event(notice["text"])
-            case "mended":
-                self.tell_event(f"The recording {notice['file']} had been cut off, and was made whole")
+        self.watchdog.heard("recorder")
+        self.supervisor.workers["recorder"].condition = Condition.RUNNING
+        before = self.recorder.state.file
+        self.recorder.heard(bus.unpack_notice(parts))
+        if self.recorder.state.file != before:
+            self.tell_state()
 
     def _keep_grasp(self, grasp: Grasp) -> None:
         self.metrics.grasps.labels(grasp.label).inc()
@@ -321,9 +342,10 @@ class Station:
     def _end_run(self, run_id: str, state: RunState, why: str) -> None:
         if not self.runs.end(run_id, state, why):
             return
-        if ended := self.runs.get(run_id):
+        ended = self.runs.get(run_id)
+        if ended:
             self._keep(ended)
-        self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN)
+        self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN, run=ended)
         if state is RunState.FAILED:
             text = f"The run was ended with the motor at zero: {why}"
             self.alarms.happened("run", AlarmKind.TECHNICAL, text)
@@ -338,9 +360,7 @@ class Station:
             return
         self.metrics.worker_deaths.labels(worker).inc()
         if worker == "recorder":
-            self.recorder.stopped("the recorder died")
-            self.alarms.raise_technical(worker, Priority.MEDIUM, f"{text} Meanwhile nothing is recorded.")
-            self.tell_event(text)
+            self.recorder.died(text)
             self.tell_state()
             return
         self._forget_grasp()
@@ -368,6 +388,7 @@ class Station:
             for frame in self._frames.cut():
                 self.hub.broadcast_frame(frame)
             self.metrics.viewers.set(len(self.hub.viewers))
+            self.metrics.index_left_out.set(self.index.left_out)
             self.watchdog.watch()
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
@@ -424,9 +445,11 @@ class Station:
             return None
         return "the demonstration" if self.demo else run.by or "somebody without a name"
 
-    def tell_event(self, text: str, kind: JournalKind = JournalKind.EVENT, by: str | None = None) -> None:
+    def tell_event(
+        self, text: str, kind: JournalKind = JournalKind.EVENT, by: str | None = None, run: Run | None = None
+    ) -> None:
         """To the viewers and the journal."""
-        self.journal.write(kind, text, by=by)
+        self.journal.write(kind, text, by=by, run=run)
         self.hub.broadcast(EventMessage(server_time_ms=now_ms(), text=f"{text}, by {by}" if by else text))
 
     def greeting(self) -> tuple[list[Any], list[bytes]]:

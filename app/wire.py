@@ -291,6 +291,7 @@ class Alarm(Wire):
     began_ms: float
     ended_ms: float | None = Field(description="When its cause went away")
     acknowledged_by: str | None = Field(description="Null: nobody has yet, or it became worse since")
+    change: Annotated[int, Field(ge=1)] = Field(1, description="One more each time it is told: the highest is newest")
 
 
 class AcknowledgeRequest(Wire):
@@ -349,10 +350,37 @@ class JournalKind(StrEnum):
     RUN = "run"
     ALARM = "alarm"
     ACKNOWLEDGED = "acknowledged"
+    DELETED = "deleted"
+
+
+class FileCondition(StrEnum):
+    """How a recording ends."""
+
+    COMPLETE = "complete"
+    RECOVERED = "recovered"
+    """It was cut off, and put in order since."""
+    CUT_OFF = "cut off"
+
+
+class FileRecord(Wire):
+    """A recording as the index knows it. Null where it could not be read, or nobody says."""
+
+    name: str
+    run_id: str | None
+    size_bytes: int
+    made_at: str = Field(description="ISO 8601, UTC")
+    duration_s: float | None
+    samples: int | None
+    lost_samples: int | None
+    format_version: str | None
+    condition: FileCondition | None
+    problem: str | None
+    deleted_at: str | None = Field(None, description="Null: it is there")
+    deleted_by: str | None = None
 
 
 class JournalEntry(Wire):
-    """A line of the journal: what happened, and who did it."""
+    """A line of the journal: what happened, and who did it; and whole, what it is about."""
 
     at: str = Field(description="ISO 8601, UTC")
     kind: JournalKind
@@ -362,6 +390,13 @@ class JournalEntry(Wire):
     value: float | None = None
     limit: float | None = None
     unit: str | None = None
+    run: Run | None = Field(None, description="As it was then")
+    alarm: Alarm | None = Field(None, description="As it was then")
+    file: FileRecord | None = Field(None, description="The recording that was deleted")
+
+    def line(self) -> str:
+        """As it stands in the journal: without what is null, except within what it is about."""
+        return self.model_dump_json(exclude={name for name in type(self).model_fields if getattr(self, name) is None})
 
 
 class RecordingInfo(Wire):

@@ -4,7 +4,7 @@ from enum import StrEnum
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -320,6 +320,7 @@ class Server(Model):
     max_viewers: Annotated[int, Field(ge=1)] = 100
     history_s: Positive = 10.0
     chart_window_frames: Annotated[int, Field(ge=1)] = 8
+    admin_token_file: str | None = None
 
 
 class Conditioning(Model):
@@ -388,6 +389,7 @@ class Settings(Model):
     tool: str = "simulated"
     library: str = "porcine"
     data_folder: str = "graspwatch-data"
+    index_url: SecretStr | None = None  # it may hold a password: never shown
     server: Server = Server()
     conditioning: Conditioning = Conditioning()
     identification: Identification = Identification()

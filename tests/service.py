@@ -35,10 +35,10 @@ def until(condition: Callable[[], Any], timeout_s: float = 30.0) -> Any:
 class Service:
     """`graspwatch serve` (or `replay --serve`) on a free port with a data folder of its own, ended with the block."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, *arguments: str, data: Path | None = None) -> None:
         self._arguments = arguments or ("serve",)
         self._folder = tempfile.TemporaryDirectory(prefix="graspwatch-data-")
-        self.data = Path(self._folder.name)
+        self.data = data or Path(self._folder.name)
 
     def __enter__(self) -> Self:
         self.process = subprocess.Popen(

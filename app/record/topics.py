@@ -5,7 +5,7 @@ message instead of being null.
 """
 
 import json
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
@@ -40,10 +40,18 @@ def _with_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str, An
     """The message with null for what was left out, also in messages inside."""
     result: dict[str, Any] = {name: None for name, field in model.model_fields.items() if field.is_required()}
     for name, value in content.items():
-        inner = model.model_fields[name].annotation if name in model.model_fields else None
-        nested = isinstance(value, dict) and isinstance(inner, type) and issubclass(inner, BaseModel)
-        result[name] = _with_nulls(inner, value) if nested else value
+        inner = _model_inside(model, name) if isinstance(value, dict) else None
+        result[name] = _with_nulls(inner, value) if inner else value
     return result
+
+
+def _model_inside(model: type[BaseModel], name: str) -> type[BaseModel] | None:
+    """The model of a field, if that is one or none."""
+    annotation = model.model_fields[name].annotation if name in model.model_fields else None
+    for each in (annotation, *get_args(annotation)):
+        if isinstance(each, type) and issubclass(each, BaseModel):
+            return each
+    return None
 
 
 def schema_of(model: type[BaseModel]) -> bytes:

@@ -52,6 +52,10 @@ class Films:
         """Of all films."""
         return sum(showing.viewers for showing in self._showings.values())
 
+    def watched(self, path: Path) -> bool:
+        """Whether somebody watches a recording's film."""
+        return any(showing.viewers for (film_of, _, _), showing in self._showings.items() if film_of == path)
+
     @contextlib.contextmanager
     def watching(self, path: Path) -> Iterator[Showing]:
         """Be a viewer of a recording's film; it is made if need be, and no further when nobody waits for it any more.

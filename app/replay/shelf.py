@@ -102,6 +102,10 @@ class Shelf:
             raise RefusedError(f"There is no recording {name!r}. GET /api/recordings lists them.", "name")
         return file.path
 
+    def is_opened(self, path: Path) -> bool:
+        """Whether it was named on the command line."""
+        return path in self._opened.values()
+
     async def aclose(self) -> None:
         """End the reading."""
         if self._reading:

@@ -1,8 +1,12 @@
 """Recordings: the list, the files, and replays."""
 
+import asyncio
+from datetime import UTC, datetime
 from http import HTTPStatus
+from pathlib import Path
+from typing import Annotated
 
-from fastapi import APIRouter, Request, WebSocket
+from fastapi import APIRouter, Query, Request, Response, WebSocket
 from fastapi.responses import FileResponse
 
 from app.live import Viewer
@@ -10,33 +14,119 @@ from app.problems import PROBLEM, ProblemError
 from app.replay.films import Films
 from app.replay.player import Replay, refuse
 from app.replay.shelf import Shelf
+from app.roles import Admin, Role
+from app.routes.paging import tell_page
 from app.station import Station
-from app.wire import Recordings
+from app.store.questions import RecordingQuestion
+from app.wire import FileRecord, JournalKind, Person, RecordingInfo, Recordings
 from config.errors import GraspwatchError, RefusedError
 
 router = APIRouter(prefix="/api/recordings", tags=["recordings"])
 
 
 @router.get("")
-async def recordings(request: Request) -> Recordings:
+async def recordings(request: Request, response: Response, asked: Annotated[RecordingQuestion, Query()]) -> Recordings:
     """What can be replayed. Durations are null until the file has been read: ask again in a second."""
     shelf: Shelf = request.app.state.shelf
-    return await shelf.listing()
+    listing = await shelf.listing()
+    found = [recording for recording in listing.recordings if _fits(recording, asked)]
+    limit = asked.limit or max(len(found), 1)
+    tell_page(request, response, limit, asked.offset, len(found))
+    return listing.model_copy(update={"recordings": found[asked.offset : asked.offset + limit]})
+
+
+def _fits(recording: RecordingInfo, asked: RecordingQuestion) -> bool:
+    modified = datetime.fromisoformat(recording.modified_at)
+    return (
+        (asked.q is None or asked.q.casefold() in recording.name.casefold())
+        and (asked.since is None or modified >= asked.since)
+        and (asked.until is None or modified < asked.until)
+    )
 
 
 @router.get(
     "/{name}/file",
     response_class=FileResponse,
-    responses={404: {"description": "No such recording", **PROBLEM}},
+    responses={
+        206: {"description": "The part that `Range` asked for"},
+        404: {"description": "No such recording", **PROBLEM},
+        416: {"description": "There is no such part"},
+    },
 )
 async def file(request: Request, name: str) -> FileResponse:
-    """The recording as it is on the disk."""
+    """The recording as it is on the disk, or a part of it (`Range`, `If-Range`)."""
+    return FileResponse(await _path(request, name), media_type="application/octet-stream", filename=name)
+
+
+async def _path(request: Request, name: str) -> Path:
     shelf: Shelf = request.app.state.shelf
     try:
-        path = await shelf.path(name)
+        return await shelf.path(name)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
-    return FileResponse(path, media_type="application/octet-stream", filename=name)
+
+
+@router.delete(
+    "/{name}",
+    status_code=HTTPStatus.NO_CONTENT,
+    responses={
+        403: {"description": "Not an admin", **PROBLEM},
+        404: {"description": "No such recording", **PROBLEM},
+        409: {"description": "In use", **PROBLEM},
+        503: {"description": "It cannot be deleted, or not be written down", **PROBLEM},
+    },
+)
+async def delete(request: Request, name: str, by: Annotated[Person, Query(description="Who deletes it")]) -> None:
+    """Delete a recording for good: only an admin may. The journal and the index keep who did it."""
+    station: Station = request.app.state.station
+    admin: Admin = request.app.state.admin
+    if admin.role(request) is not Role.ADMIN:
+        raise ProblemError(HTTPStatus.FORBIDDEN, admin.how)
+    path = await _path(request, name)
+    _refuse_in_use(request, path)
+    now = datetime.now(UTC).isoformat(timespec="milliseconds")
+    before = await _record(station, path)
+    gone = before.model_copy(update={"deleted_at": now, "deleted_by": by})
+    if not station.journal.write(JournalKind.DELETED, f"Recording {name} is being deleted", by=by, file=gone):
+        station.journal.write(JournalKind.DELETED, f"Recording {name} stays", by=by, file=before)
+        detail = "The journal cannot be written, and nothing is deleted without a line in it. Make room by other means."
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail)
+    await station.index.settled()
+    try:
+        await asyncio.to_thread(path.unlink, missing_ok=True)
+    except OSError as error:
+        text = f"Recording {name} could not be deleted: {error.strerror}"
+        station.journal.write(JournalKind.DELETED, text, by=by, file=before)
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, f"{text}. Allow writing in its folder.") from None
+    station.tell_event(f"Recording {name} deleted", JournalKind.EVENT, by)
+
+
+def _refuse_in_use(request: Request, path: Path) -> None:
+    station: Station = request.app.state.station
+    shelf: Shelf = request.app.state.shelf
+    films: Films = request.app.state.films
+    if Path(station.recorder.state.file or "").name == path.name:
+        why = "it is being recorded. Stop the run first."
+    elif shelf.is_opened(path):
+        why = "it was opened on the command line. End that service first."
+    elif films.watched(path):
+        why = "somebody is watching it. Close its replay first."
+    else:
+        return
+    raise ProblemError(HTTPStatus.CONFLICT, f"{path.name} is in use: {why}")
+
+
+async def _record(station: Station, path: Path) -> FileRecord:
+    """As the index knows it, else what the disk says."""
+    known = await station.index.ask(station.index.store.file, path.name)
+    if known and not known.deleted_at:
+        return known
+    found = await asyncio.to_thread(path.stat)
+    return FileRecord(
+        name=path.name, run_id=None, size_bytes=found.st_size,
+        made_at=datetime.fromtimestamp(found.st_mtime, UTC).isoformat(timespec="milliseconds"),
+        duration_s=None, samples=None, lost_samples=None, format_version=None, condition=None, problem=None,
+    )  # fmt: skip
 
 
 @router.websocket("/{name}/replay")

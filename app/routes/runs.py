@@ -3,11 +3,13 @@
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Request
+from fastapi import APIRouter, Body, Query, Request, Response
 
 from acquisition.protocol import ProtocolPlayer
 from app.problems import PROBLEM, ProblemError
+from app.routes.paging import tell_page
 from app.station import Station
+from app.store.questions import RunQuestion
 from app.wire import Grasp, Phase, Run, RunRequest, StopAnswer, StopRequest
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import available, choose, holdable, load_protocol
@@ -79,16 +81,20 @@ def _check_tissue(station: Station, tissue: str | None) -> None:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "tissue") from None
 
 
-@router.get("/runs")
-async def list_runs(request: Request) -> list[Run]:
-    """All runs since the service started, oldest first."""
-    return station_of(request).runs.all()
+@router.get("/runs", responses={503: {"description": "No index", **PROBLEM}})
+async def list_runs(request: Request, response: Response, asked: Annotated[RunQuestion, Query()]) -> list[Run]:
+    """Runs of this service and earlier ones, oldest first; how many there are on all is in `X-Total-Count`."""
+    station = station_of(request)
+    found = await station.index.ask(station.index.store.runs, asked)
+    tell_page(request, response, asked.limit, asked.offset, found.total)
+    return [station.runs.get(run.id) or run for run in found.items]
 
 
 @router.get("/runs/{run_id}", responses={404: {"description": "No such run", **PROBLEM}})
 async def get_run(request: Request, run_id: str) -> Run:
     """One run."""
-    run = station_of(request).runs.get(run_id)
+    station = station_of(request)
+    run = station.runs.get(run_id) or await station.index.ask(station.index.store.run, run_id)
     if run is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no run {run_id!r}. GET /api/runs lists them.")
     return run
@@ -98,7 +104,10 @@ async def get_run(request: Request, run_id: str) -> Run:
 async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
     """The finished grasps of a run."""
     await get_run(request, run_id)
-    return station_of(request).runs.grasps(run_id)
+    station = station_of(request)
+    if station.runs.get(run_id):
+        return station.runs.grasps(run_id)
+    return await station.index.ask(station.index.store.grasps_of, run_id)
 
 
 @router.post("/runs/{run_id}/stop", responses={404: {"description": "No such run", **PROBLEM}})

@@ -48,7 +48,7 @@ const ROUTES: Route[] = [
     matches: (path) => path === "/recordings",
     load: async () => {
       const { RecordingsPage } = await import("./pages/recordings");
-      return (box) => new RecordingsPage(box);
+      return (box) => new RecordingsPage(box, person);
     },
   },
   {

@@ -87,6 +87,23 @@ def test_the_first_visit_explains_the_page_once(service, watch):
     expect(hints).to_have_count(shown)
 
 
+def test_a_recording_is_deleted_on_the_second_press(service, watch):
+    path = service.data / "recordings" / "old.lvm"
+    path.write_text("LabVIEW Measurement\n")
+    viewer = watch(service.url + "/recordings")
+    row = viewer.at("recordings").get_by_role("row").filter(has_text="old.lvm")
+    row.get_by_test_id("recording-delete").click()
+    expect(row.get_by_test_id("recording-delete")).to_have_text("For good?")
+    assert path.exists()
+    row.get_by_test_id("recording-delete").click()
+    viewer.page.locator("#person-name").fill("Ada")
+    viewer.page.locator("#person-name").press("Enter")
+    expect(viewer.at("recordings")).not_to_contain_text("old.lvm")
+    assert not path.exists()
+    line = service.http.get("/api/audit", params={"kind": "deleted"}).json()[0]
+    assert (line["by"], line["file"]["name"]) == ("Ada", "old.lvm")
+
+
 def test_recordings_are_listed_found_and_opened(service, watch):
     viewer = watch(service.url + "/recordings")
     expect(viewer.at("recordings")).to_contain_text("gallbladder.lvm")

@@ -16,6 +16,8 @@ export const getJson = <Answer>(path: string): Promise<Answer> => ask("GET", pat
 
 export const postJson = <Answer>(path: string, body?: unknown): Promise<Answer> => ask("POST", path, PATIENCE_MS, body);
 
+export const deletePath = (path: string): Promise<null> => ask("DELETE", path, PATIENCE_MS);
+
 export const getProtocols = (): Promise<ProtocolInfo[]> => getJson("/api/protocols");
 
 export const startRun = (request: RunRequest): Promise<Run> => postJson("/api/runs", request);
@@ -39,7 +41,7 @@ async function ask<Answer>(method: string, path: string, patienceMs: number, bod
       signal: AbortSignal.timeout(patienceMs),
       ...(body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } }),
     });
-    if (response.ok) return (await response.json()) as Answer;
+    if (response.ok) return (response.status === 204 ? null : await response.json()) as Answer;
   } catch (error) {
     const timedOut = error instanceof DOMException && error.name === "TimeoutError";
     throw new Unreachable(timedOut ? `no answer within ${patienceMs / 1000} s` : "the server cannot be reached");

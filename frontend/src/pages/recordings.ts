@@ -2,9 +2,11 @@ import { byId, create, fill, setAttribute, setHidden, setText } from "../dom";
 import { bytes, duration, NO_VALUE } from "../format";
 import { showHints } from "../shell/hints";
 import type { KeyAction } from "../shell/keys";
+import type { Person } from "../shell/person";
 import type { Page } from "../shell/router";
 import type { RecordingInfo, Recordings } from "../wire";
 import "../styles/pages.css";
+import { deleteButton } from "./delete";
 import { Polled } from "./polled";
 import markup from "./recordings.html?raw";
 import { dateTime, headCell, moment, Rows, type Row } from "./rows";
@@ -26,13 +28,16 @@ export class RecordingsPage implements Page {
   private column: Column = "modified_at";
   private descending = true;
 
-  constructor(private readonly box: HTMLElement) {
+  constructor(
+    private readonly box: HTMLElement,
+    person: Person,
+  ) {
     fill(box, markup);
     showHints(box);
     this.filter = byId<HTMLInputElement>("recordings-filter");
     this.filter.addEventListener("input", () => this.show());
     for (const button of this.sortButtons()) button.addEventListener("click", () => this.sortBy(button.dataset.column as Column));
-    this.rows = new Rows(byId("recordings-body"), ({ name }) => name, makeRow);
+    this.rows = new Rows(byId("recordings-body"), ({ name }) => name, (recording) => makeRow(recording, deleteButton(recording.name, person, (text) => this.tell(text))));
     const section = byId("recordings");
     this.polled = new Polled({ path: "/api/recordings", what: "The list", section, take: (answer) => this.take(answer) });
   }
@@ -41,6 +46,13 @@ export class RecordingsPage implements Page {
 
   close(): void {
     this.polled.close();
+  }
+
+  /** Why something was not deleted; null: it was. */
+  private tell(text: string | null): void {
+    setText(byId("recordings-told"), text ?? "");
+    setHidden(byId("recordings-told"), text === null);
+    this.polled.now();
   }
 
   private take({ folder, recordings }: Recordings): number {
@@ -93,7 +105,7 @@ function compare(a: RecordingInfo, b: RecordingInfo, column: Column, descending:
   return (descending ? -order : order) || a.name.localeCompare(b.name, "en", { numeric: true });
 }
 
-function makeRow({ name }: RecordingInfo): Row<RecordingInfo> {
+function makeRow({ name }: RecordingInfo, remove: HTMLElement): Row<RecordingInfo> {
   const element = create("tr");
   const address = encodeURIComponent(name);
   const link = create("a", "row-link", name);
@@ -110,7 +122,7 @@ function makeRow({ name }: RecordingInfo): Row<RecordingInfo> {
   what.append(link, run, small, problem);
   const actions = create("td", "actions");
   const buttons = create("div");
-  buttons.append(replay, download);
+  buttons.append(replay, download, remove);
   actions.append(buttons);
   element.append(what, when, length, size, actions);
   const update = (recording: RecordingInfo): void => {

@@ -1,0 +1,20 @@
+"""What is said of a page beside it: how many there are on all, and where the other pages are (RFC 8288)."""
+
+from fastapi import Request, Response
+
+
+def tell_page(request: Request, response: Response, limit: int, offset: int, total: int) -> None:
+    """Set `X-Total-Count` and `Link`."""
+    pages = {"first": 0, "last": max(total - 1, 0) // limit * limit}
+    if offset > 0:
+        pages["prev"] = max(offset - limit, 0)
+    if offset + limit < total:
+        pages["next"] = offset + limit
+    response.headers["X-Total-Count"] = str(total)
+    response.headers["Link"] = ", ".join(f'<{_address(request, limit, at)}>; rel="{rel}"' for rel, at in pages.items())
+
+
+def _address(request: Request, limit: int, offset: int) -> str:
+    """Without scheme and host, which a proxy may have changed."""
+    url = request.url.include_query_params(limit=limit, offset=offset)
+    return f"{url.path}?{url.query}"

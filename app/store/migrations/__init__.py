@@ -1,0 +1,1 @@
+"""How an older index becomes today's; alembic reads this folder. A revision that was released is never changed."""

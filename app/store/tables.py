@@ -1,0 +1,93 @@
+"""The tables: what is searched and sorted by stands in columns, the whole message as JSON beside it.
+
+Moments are milliseconds since 1970. `message` is the wire model as it was taken; a run that is known only by its grasps
+has none yet.
+"""
+
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, Double, ForeignKey, Index, String
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+
+class Table(DeclarativeBase):
+    type_annotation_map = {float: Double, dict[str, Any]: JSON(none_as_null=True), str: String}  # noqa: RUF012
+
+
+class RunRow(Table):
+    __tablename__ = "runs"
+    __table_args__ = (Index("runs_by_start", "started_ms", "id"),)
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    protocol: Mapped[str | None] = mapped_column(index=True)
+    tissue: Mapped[str | None] = mapped_column(index=True)
+    by: Mapped[str | None]
+    state: Mapped[str | None] = mapped_column(index=True)
+    started_ms: Mapped[float | None]
+    ended_ms: Mapped[float | None]
+    why: Mapped[str | None]
+    grasps: Mapped[int] = mapped_column(default=0)
+    message: Mapped[dict[str, Any] | None]
+
+
+class GraspRow(Table):
+    __tablename__ = "grasps"
+    __table_args__ = (Index("grasps_by_label", "label", "valid"),)
+
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id"), primary_key=True)
+    index: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    label: Mapped[str]
+    probability: Mapped[float | None]
+    peak_force_n: Mapped[float | None]
+    valid: Mapped[bool]
+    held_back: Mapped[bool]
+    message: Mapped[dict[str, Any]]
+
+
+class AlarmRow(Table):
+    """`key`: its id and when it began, for ids begin anew with each service."""
+
+    __tablename__ = "alarms"
+
+    key: Mapped[str] = mapped_column(primary_key=True)
+    kind: Mapped[str] = mapped_column(index=True)
+    priority: Mapped[str]
+    active: Mapped[bool]
+    text: Mapped[str]
+    began_ms: Mapped[float] = mapped_column(index=True)
+    ended_ms: Mapped[float | None]
+    acknowledged_by: Mapped[str | None]
+    change: Mapped[int]
+    message: Mapped[dict[str, Any]]
+
+
+class AuditRow(Table):
+    """`key`: the line's digest; a line is never changed."""
+
+    __tablename__ = "audit"
+    __table_args__ = (Index("audit_by_time", "at_ms", "key"),)
+
+    key: Mapped[str] = mapped_column(String(64), primary_key=True)
+    at_ms: Mapped[float]
+    kind: Mapped[str] = mapped_column(index=True)
+    text: Mapped[str]
+    by: Mapped[str | None] = mapped_column(index=True)
+    message: Mapped[dict[str, Any]]
+
+
+class FileRow(Table):
+    """A recording; one that was deleted stays, with who did it and when. Its run may be unknown here."""
+
+    __tablename__ = "files"
+
+    name: Mapped[str] = mapped_column(primary_key=True)
+    run_id: Mapped[str | None] = mapped_column(index=True)
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
+    made_ms: Mapped[float] = mapped_column(index=True)
+    duration_s: Mapped[float | None]
+    samples: Mapped[int | None] = mapped_column(BigInteger)
+    lost_samples: Mapped[int | None] = mapped_column(BigInteger)
+    condition: Mapped[str | None]
+    deleted_ms: Mapped[float | None]
+    deleted_by: Mapped[str | None]
+    message: Mapped[dict[str, Any]]
