@@ -1,13 +1,16 @@
 """Runs are recorded: all of them, from before their beginning, whatever dies or fills up meanwhile."""
 
+import contextlib
 import os
 import resource
 import signal
+import sqlite3
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from service import Listener, Service, until
+from service import PROGRAM, Listener, Service, until
 
 from acquisition.recordings.container import Container
 from acquisition.recordings.playing import Recording
@@ -139,11 +142,29 @@ def test_with_too_little_room_a_run_is_not_recorded_and_says_so(tmp_path: Path) 
         assert not file_of(service, run["id"]).exists()
 
 
-def test_the_end_of_the_service_makes_the_file_whole() -> None:
+def indexed(data: Path) -> dict[str, list[tuple]]:
+    """Every row of the index, in any order."""
+    with contextlib.closing(sqlite3.connect(data / "index.sqlite")) as index:
+        return {
+            table: sorted(index.execute(f"SELECT * FROM {table}"), key=str)
+            for table in ("runs", "grasps", "alarms", "audit", "files")
+        }
+
+
+def test_the_end_of_the_service_makes_the_file_whole_and_the_index_can_be_rebuilt_from_the_files() -> None:
     with Service("serve") as service:
+        finished = service.run(protocol="strong_2hz", cycles=1, tissue="liver", by="Ada")
+        service.finished(finished["id"])
         run = service.run(protocol="trapezoid_2hz", cycles=20, tissue="liver")
-        until(lambda: recording_state(service)["samples"] > 1_000)
+        until(lambda: recording_state(service)["samples"] > 6_000)
         service.end()
         container = Container(file_of(service, run["id"]))
         assert container.complete
-        assert len(read_run(container.path).samples) > 1_000
+        assert len(read_run(container.path).samples) > 6_000
+        live = indexed(service.data)
+        subprocess.run([PROGRAM, "index", "--rebuild", "--data", service.data], check=True, capture_output=True)
+        rebuilt = indexed(service.data)
+    assert {table: len(rows) for table, rows in live.items() if table in ("runs", "files")} == {"runs": 2, "files": 2}
+    assert live["grasps"]
+    for table, rows in live.items():
+        assert rebuilt[table] == rows, table
