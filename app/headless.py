@@ -99,7 +99,7 @@ def run_protocol(
 def replay_recording(recording: Recording, rig: Rig, progress: Progress) -> Report:
     """Take a recording through calibration, conditioning, estimation and identification.
 
-    Where estimates were recorded, they are compared.
+    Of a recorded run nothing but the run itself is taken, and its estimates are compared with those recorded.
 
     Raises:
         RecordingError: the file is damaged; names the place.
@@ -109,6 +109,7 @@ def replay_recording(recording: Recording, rig: Rig, progress: Progress) -> Repo
     pipeline = Pipeline(tool, settings.conditioning)
     session = EstimationSession(tool, library, settings)
     comparing = Comparing(recording.container, rig, recording.first_tick) if recording.container else None
+    recording.skip_to_run()
     with recording:
         while (raw := recording.read_block()) is not None:
             report.samples += len(raw)

@@ -54,7 +54,7 @@ class Recording:
         self._rate_hz = self.tool.board.sample_rate_hz
         self._speed = speed
         self._block = BLOCK_SAMPLES if speed is None else self.tool.board.block_samples
-        self._at = 0
+        self._at = self._skipped = 0
         self._run = ""
         self._started = 0.0
 
@@ -91,25 +91,31 @@ class Recording:
 
     @property
     def samples(self) -> int:
-        return len(self._recorded.ticks)
+        """How many there are to come, or have come."""
+        return len(self._recorded.ticks) - self._skipped
 
     @property
     def duration_s(self) -> float:
         return float(self._recorded.ticks[-1] + 1) / self._rate_hz
 
+    def skip_to_run(self) -> None:
+        """Leave out what was recorded before the run: of it alone its estimates are made."""
+        self._at = self._skipped = min(self._recorded.runs, default=0)
+
     def read_block(self) -> RawBlock | None:
         """The next samples up to a gap or the beginning of a run; None at the end."""
         recorded, at = self._recorded, self._at
-        if at >= self.samples:
+        if at >= len(recorded.ticks):
             return None
         self._run = recorded.runs.get(at, self._run)
         end = self._end_of_block(at)
         ticks = recorded.ticks[at:end]
         whole = int(np.argmax(ticks - ticks[0] != np.arange(len(ticks)))) or len(ticks)
         self._at = end = at + whole
-        lost = int(ticks[0] - recorded.ticks[at - 1] - 1) if at else 0
+        lost = int(ticks[0] - recorded.ticks[at - 1] - 1) if at > self._skipped else 0
         if self._speed is not None:
-            due = self._started + (int(ticks[0]) + whole) / self._rate_hz / self._speed
+            played = int(ticks[0]) + whole - int(recorded.ticks[self._skipped])
+            due = self._started + played / self._rate_hz / self._speed
             time.sleep(max(due - time.monotonic(), 0.0))
         return RawBlock(
             int(ticks[0]), time.monotonic_ns(), *recorded.signals[:, at:end], lost_samples=lost,
@@ -119,8 +125,8 @@ class Recording:
     def _end_of_block(self, at: int) -> int:
         """Row behind the block that begins at this row; blocks end where steps do."""
         recorded = self._recorded
-        end = min(at + self._block, self.samples)
-        if end < self.samples:
+        end = min(at + self._block, len(recorded.ticks))
+        if end < len(recorded.ticks):
             end = max(end - int(recorded.ticks[end] + self.first_tick) % STEP_SAMPLES, at + 1)
         own = int(np.searchsorted(recorded.ends, at, "right"))
         stops = [*recorded.ends[own : own + 1].tolist(), *(row for row in recorded.runs if row > at)]
