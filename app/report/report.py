@@ -1,0 +1,160 @@
+"""A report of one recording or of many: read, compared, and written as a page and as JSON."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly
+import scipy
+
+from app import __version__
+from app.report.looks import Look, looks_of
+from app.report.statistics import Observation, Statistics, Told, statistics
+from app.report.story import Story, story_of
+from app.report.tables import statistics_tables
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.blocks import GraspRecord
+from estimator.studies.page import plain
+
+Progress = Callable[[float], None]  # share done
+READING = 0.75  # of the time that a report takes; the rest is for the page
+
+
+@dataclass(frozen=True)
+class Report:
+    """Stories in the order in which they are to be read; `labels`: what was held, by a story's title."""
+
+    title: str
+    stories: tuple[Story, ...]
+    labels: Mapping[str, str]
+
+    @property
+    def library(self) -> TissueLibrary:
+        return self.stories[0].library
+
+    @cached_property
+    def grasps(self) -> list[tuple[Story, GraspRecord, Observation]]:
+        """All grasps, with what the statistics make of each."""
+        return [(story, record, self._observation(story, record)) for story in self.stories for record in story.grasps]
+
+    @cached_property
+    def statistics(self) -> Statistics:
+        return statistics([observation for *_, observation in self.grasps], self.library.tissues)
+
+    @cached_property
+    def looks(self) -> dict[str, Look]:
+        return looks_of(self.library, tuple(self.statistics.groups))
+
+    def _observation(self, story: Story, record: GraspRecord) -> Observation:
+        label = self.labels.get(story.title)
+        told = Told.LABEL if label else Told.RECORDING if story.tissue else Told.VERDICT
+        return Observation(story.title, record, label or story.tissue, told, story.force_errors_n(record))
+
+    def document(self) -> dict[str, Any]:
+        """Every figure of the page, ready for JSON: SI units, None where there is no value."""
+        found = self.statistics
+        return {
+            "report": self.title,
+            "versions": versions(),
+            "tool": self.stories[0].tool.name,
+            "library": self.library.name,
+            "recordings": [self._recording(story) for story in self.stories],
+            "left_out": [
+                {"recording": one.source, "grasp": one.record.index, "why": why} for one, why in found.left_out
+            ],
+            "tables": [plain(asdict(table)) for table in statistics_tables(found, self.library, self.looks)],
+            "figure_8": {
+                name: plain(
+                    dict(zip(("alpha_n", "beta_per_m", "damping_kg_per_s"), np.exp(logs).T.tolist(), strict=True))
+                )
+                for name, logs in found.values.items()
+            },
+            "tukey": {
+                parameter: {
+                    "why_not": one.why_not,
+                    "too_small": list(one.too_small),
+                    "pairs": [
+                        {"pair": list(pair), **plain(asdict(c)), "differs": c.differs} for pair, c in one.pairs.items()
+                    ],
+                }
+                for parameter, one in found.tukey.items()
+            },
+        }
+
+    def _recording(self, story: Story) -> dict[str, Any]:
+        own = [(record, observation) for told_by, record, observation in self.grasps if told_by is story]
+        return {
+            "title": story.title,
+            "facts": plain(story.facts),
+            "samples": len(story.traces),
+            "lost_samples": story.lost_samples,
+            "duration_s": story.duration_s,
+            "held": self.labels.get(story.title) or story.tissue,
+            "grasps": [
+                {
+                    **plain(asdict(record)),
+                    "group": observation.group,
+                    "thickness_m": story.thickness_m.get(record.index),
+                    "alarms": [plain(asdict(alarm)) for alarm in story.alarms_of(record)],
+                    "withdrawn": [plain(asdict(one)) for one in story.withdrawals if one.grasp == record.index],
+                }
+                for record, observation in own
+            ],
+        }
+
+
+def versions() -> dict[str, str]:
+    """Of what a report's figures depend on."""
+    return {
+        "graspwatch": __version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "plotly": plotly.__version__,
+    }
+
+
+def read_report(
+    files: Sequence[Path], tool: Tool, library: TissueLibrary, settings: Settings, labels: Mapping[Path, str],
+    progress: Progress,
+) -> Report:  # fmt: skip
+    """Take recordings through the estimator, one after the other.
+
+    Raises:
+        RecordingError: one cannot be read; names file and line.
+    """
+    titles = _titles(files)
+    sizes = [path.stat().st_size if path.is_file() else 0 for path in files]
+    whole, before, stories = sum(sizes) or 1, 0, []
+    for path, size in zip(files, sizes, strict=True):
+
+        def share(done: float, before: int = before, size: int = size) -> None:
+            progress(READING * (before + done * size) / whole)
+
+        stories.append(story_of(path, titles[path], tool, library, settings, share))
+        before += size
+    name = titles[files[0]] if len(files) == 1 else f"{len(files)} recordings"
+    return Report(f"Report: {name}", tuple(stories), {titles[path]: label for path, label in labels.items()})
+
+
+def _titles(files: Sequence[Path]) -> dict[Path, str]:
+    """File names, with their folders where two are the same."""
+    names = [path.name for path in files]
+    return {path: path.name if names.count(path.name) == 1 else str(path) for path in files}
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
