@@ -18,6 +18,7 @@ from app.demo import demonstrate
 from app.plan import ServicePlan
 from app.replay.films import Films
 from app.replay.shelf import Shelf
+from app.report.reports import Reports
 from app.routes import alarms, catalogue, live, recordings, runs, studies, system
 from app.station import Station
 from app.study.desk import StudyDesk
@@ -37,9 +38,12 @@ def create_app(plan: ServicePlan) -> FastAPI:
         station = app.state.station = Station(plan)
         desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
         films, shelf = contextlib.aclosing(Films(plan)), contextlib.aclosing(Shelf(plan))
+        reports = contextlib.aclosing(Reports(plan))
         await station.start()
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
-        async with desk as app.state.studies, films as app.state.films, shelf as app.state.shelf:
+        async with (
+            desk as app.state.studies, films as app.state.films, shelf as app.state.shelf, reports as app.state.reports
+        ):  # fmt: skip
             try:
                 yield
             finally:

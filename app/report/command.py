@@ -159,19 +159,20 @@ def _check_place(page: Path, data: Path) -> None:
 
 
 def _show(made: "Report", page: Path, data: Path) -> None:
-    from app.report.tables import statistics_tables
+    """The figures in short; the whole of them stands on the page."""
     from estimator.studies.page import shown
 
-    console = Console()
-    for content in statistics_tables(made.statistics, made.library, made.looks):
-        table = Table(*content.columns, title=content.title)
-        for row in content.rows:
-            table.add_row(*map(shown, row))
+    found, looks, console = made.statistics, made.looks, Console()
+    table = Table("Held", "Grasps", "Converged", "Mean time, s", "α, N", "β, 1/m", "d, kg/s", title=made.title)
+    for name, row in found.table_6.items():
+        time = row.convergence_s
+        means = [one.geometric_mean for one in found.table_7[name].values()]
+        table.add_row(looks[name].title, str(row.grasps), str(time.count), *map(shown, (time.mean, *means)))
+    if found.groups:
         console.print(table)
-    left_out = len(made.statistics.left_out)
-    words = (
-        f"{len(made.grasps)} grasps, {left_out} left out of the statistics"
-        if left_out
-        else f"{len(made.grasps)} grasps"
-    )
-    console.print(f"{words}.\nReport: {page}\nFigures: {data}", soft_wrap=True, highlight=False)
+    for pair, telling in found.tell_apart().items():
+        words = f"told apart by {', '.join(telling)}" if telling else "not told apart by any parameter"
+        console.print(f"{' and '.join(looks[name].title for name in pair)}: {words}.", highlight=False)
+    left_out = f", {len(found.left_out)} of them left out of the statistics" if found.left_out else ""
+    console.print(f"{len(made.grasps)} grasps{left_out}.", highlight=False)
+    console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True, highlight=False)

@@ -8,12 +8,13 @@ from app.report.spark import spark
 from app.report.statistics import Observation
 from app.report.story import Story
 from estimator.blocks import GraspRecord
-from estimator.decision import UNDECIDED, UNKNOWN
-from estimator.studies.page import Markup, rows
+from estimator.decision import UNDECIDED
+from estimator.studies.page import WORDS, Markup, rows
 
 COLUMNS = ["grasp", "force", "start, s", "verdict", "probability", "decided after, ms", "peak force, N",
            "peak displacement, mm", "α, N", "β, 1/m", "d, kg/s", "convergence, s", "force error, N", "warnings",
            "remarks"]  # fmt: skip
+IN_WORDS = {"force", "start, s", "verdict", "probability", "warnings", "remarks"}
 
 
 def grasp_table(report: Report, drawn: int) -> str:
@@ -32,7 +33,7 @@ def grasp_table(report: Report, drawn: int) -> str:
             title = html.escape(story.title)
             parts.append(f'<tr><th scope="rowgroup" colspan="{len(COLUMNS)}">{title}</th></tr>')
         parts.append(rows(lines))
-    head = "".join(f'<th scope="col">{html.escape(column)}</th>' for column in COLUMNS)
+    head = "".join(f'<th scope="col"{WORDS if name in IN_WORDS else ""}>{html.escape(name)}</th>' for name in COLUMNS)
     return (
         '<div class="grasps" tabindex="0" role="group" aria-label="All grasps"><table><caption>Convergence and force '
         "error are of the filter of what was held. Dashed in the force: the injury threshold.</caption>"
@@ -70,8 +71,6 @@ def _warnings(story: Story, record: GraspRecord) -> str:
 
 def _remarks(report: Report, story: Story, record: GraspRecord) -> str:
     said = [record.why_invalid] if record.why_invalid else []
-    if record.label == UNKNOWN:
-        said.append("fits no tissue of the library")
     if record.label == UNDECIDED and record.probabilities:
         top, share = max(record.probabilities.items(), key=lambda each: each[1])
         said.append(f"likeliest: {report.looks[top].title}, {_percent(share)}")

@@ -22,7 +22,7 @@ KIND = "Graspwatch report"
 
 COURSES_SHOWN = 24  # recordings; the grasps of more are shown one by one only
 GRASPS_DRAWN = 1000  # more are in the table only
-COURSE_BYTES, GRASP_BYTES = 3_000_000, 5_000_000  # of all courses together, and of all grasps' own
+COURSE_BYTES, GRASP_BYTES = 2_500_000, 4_000_000  # of all courses together, and of all grasps' own
 COURSE_POINTS, GRASP_POINTS, LEAST_POINTS = 3000, 2000, 80
 BYTES_A_POINT = 8 / 3  # 16 bits in base64
 CURVES_TOGETHER = 60  # in the plot of all grasps
@@ -181,7 +181,7 @@ def _courses(report: Report, data: dict[str, Any]) -> str:
 
 def _stress(report: Report) -> str:
     every = _every(len(report.grasps))
-    which = f"Every {every}th grasp" if every > 1 else "Every grasp"
+    which = f"One grasp in {every}" if every > 1 else "Every grasp"
     words = (
         f"Thick lines: the library, with a band of one standard deviation between specimens. {which} while it closed: "
         "thin, in the colour of what was held, damping taken off. The axes end where the highest injury threshold "
@@ -230,13 +230,24 @@ def _cautions(report: Report) -> str:
 
 
 def _left_out(report: Report) -> str:
-    reasons: dict[str, list[str]] = {}
+    numbers: dict[tuple[str, str], list[int]] = {}
     for one, why in report.statistics.left_out:
-        reasons.setdefault(why, []).append(f"{one.source}, {one.record.index}")
-    if not reasons:
+        numbers.setdefault((why, one.source), []).append(one.record.index)
+    if not numbers:
         return ""
-    rows = [[why, len(names), "; ".join(names)] for why, names in reasons.items()]
-    return table(Table("Left out of the statistics", ["why", "grasps", "which"], rows), level=3)
+    rows = [[why, source, len(own), _ranges(own)] for (why, source), own in numbers.items()]
+    return table(Table("Left out of the statistics", ["why", "recording", "grasps", "which"], rows), level=3)
+
+
+def _ranges(numbers: list[int]) -> str:
+    """Rising numbers in words: 1 to 3, 5."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
 
 
 def _how(report: Report, data: dict[str, Any], lines: list[Channel]) -> str:
@@ -254,8 +265,9 @@ def _how(report: Report, data: dict[str, Any], lines: list[Channel]) -> str:
     made = ", ".join(f"{name} {version}" for name, version in versions().items())
     return (
         f'<section id="how"><h2>How it was made</h2><p>{" ".join(parts)} No peak is lost by thinning. Everything '
-        "else is computed from all samples. Grey force and displacement: as the filters take them and as the jaws move; black "
-        "force: after the 10 Hz low-pass. Dotted lines: the library's own parameters.</p>"
+        "else is computed from all samples. Grey: the force as the filters take it, and how far the jaws moved; black "
+        "force: after the 10 Hz low-pass. Dotted lines: the library's own parameters; a filter "
+        "that runs away from them leaves the picture, and a double-click shows where to.</p>"
         f'<p class="settings">{html.escape(made)}</p></section>'
     )
 

@@ -24,7 +24,8 @@ RAW = "#8a96a0"
 AXES = {"verdict": 0.22, "force, N": 1.5, "displacement, mm": 1.0, "probability": 1.0, "α, N": 0.8, "β, 1/m": 0.8,
         "d, kg/s": 0.8}  # fmt: skip
 VERDICT, FORCE, DISPLACEMENT, PROBABILITY, ALPHA = 1, 2, 3, 4, 5  # rows of a course
-HEIGHT = 960
+HEIGHT = 700
+BEYOND = 10.0  # times the library's parameters: where an axis ends, since filters that are wrong run far away
 LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "font": {"size": 12}}
 
 
@@ -82,12 +83,16 @@ def course_template(library: TissueLibrary, looks: dict[str, Look], lines: list[
     figure.update_yaxes(range=[0, 1], showticklabels=False, title="", fixedrange=True, row=VERDICT, col=1)
     figure.update_yaxes(range=[-0.03, 1.03], row=PROBABILITY, col=1)
     for row, parameter in enumerate(PARAMETERS.values(), ALPHA):
-        figure.update_yaxes(type="log", dtick=1, exponentformat="power", row=row, col=1)
+        known = [getattr(profile, parameter) for profile in library.tissues.values()]
+        reach = [np.log10(min(known) / BEYOND), np.log10(max(known) * BEYOND)]
+        figure.update_yaxes(type="log", range=reach, dtick=1, exponentformat="power", row=row, col=1)
         for name, profile in library.tissues.items():
             line = {"color": looks[name].colour, "width": 1, "dash": "dot"}
             figure.add_hline(y=getattr(profile, parameter), line=line, row=row, col=1)
+    figure.update_xaxes(tickfont={"size": 11})
+    figure.update_yaxes(tickfont={"size": 11})
     figure.update_xaxes(title={"text": "time, s", "font": {"size": 12}}, row=len(AXES), col=1)
-    figure.update_layout(height=HEIGHT, hovermode="x", legend=LEGEND)
+    figure.update_layout(height=HEIGHT, hovermode="x", legend=LEGEND, uniformtext={"minsize": 9, "mode": "hide"})
     return bare(figure)
 
 
@@ -163,7 +168,8 @@ def box_plots(found: Statistics, library: TissueLibrary, looks: dict[str, Look])
             mode="markers", marker={"symbol": "diamond-open", "size": 11, "color": INK, "line": {"width": 1.5}},
             name="library", showlegend=k == 0 and bool(known), row=1, col=k + 1,
         )  # fmt: skip
-    figure.update_yaxes(type="log", exponentformat="power", dtick=1)
+    ticks = [digit * 10.0**power for power in range(-9, 9) for digit in (1, 3)]
+    figure.update_yaxes(type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
     figure.update_layout(height=430, legend={**LEGEND, "y": 1.1})
     return bare(figure)
 

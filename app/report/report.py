@@ -47,7 +47,7 @@ class Report:
 
     @cached_property
     def looks(self) -> dict[str, Look]:
-        return looks_of(self.library, tuple(self.statistics.groups))
+        return looks_of(self.library, tuple(dict.fromkeys(one.group for *_, one in self.grasps)))
 
     def _observation(self, story: Story, record: GraspRecord) -> Observation:
         label = self.labels.get(story.title)

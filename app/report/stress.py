@@ -6,6 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from app.report.looks import Look
+from app.report.plots import LEGEND
 from app.report.story import Story
 from config.schema import TissueLibrary, TissueProfile
 from estimator.blocks import GraspRecord
@@ -74,7 +75,7 @@ def references(library: TissueLibrary, looks: dict[str, Look]) -> go.Figure:
         )  # fmt: skip
     figure.update_xaxes(title="strain, compression by thickness", range=[0, 1.1 * reach])
     figure.update_yaxes(title="stress, kPa", range=[0, most_n / library.jaw_area_m2 / 1e3])
-    figure.update_layout(height=460)
+    figure.update_layout(height=460, legend=LEGEND)
     return figure
 
 

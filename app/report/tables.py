@@ -32,14 +32,14 @@ def _table_6(found: Statistics, looks: dict[str, Look]) -> Table:
         ]
         for what, extent, paper in kinds:
             theirs = (None, None, None) if paper is None or printed is None else paper[printed]
-            rows.append([f"{looks[name].title}: {what}", f"{extent.count} of {row.grasps}", *_values(extent), *theirs])
+            rows.append([looks[name].title, what, row.grasps, extent.count, *_values(extent), *theirs])
     return Table(
         "Table VI: convergence time and force error",
-        ["tissue", "grasps", *EXTREMES, *(f"{word}, the paper's" for word in EXTREMES)],
+        ["tissue", "of", "grasps", "counted", *EXTREMES, *(f"paper: {word}" for word in EXTREMES)],
         rows,
         "Of the tissue's own filter; of a group that is not in the library, of the likeliest tissue's. The time counts "
         "from contact until the error stays within 15 % of the grasp's largest force; a grasp where it never does is "
-        "missing in the columns after the first. Force error: estimated less measured, while the tissue is held; the "
+        "not counted. Force error: estimated less measured, while the tissue is held; the "
         "mean of single samples is that of the grasps' means. The paper does not say which of the two it prints.",
     )
 
@@ -54,13 +54,13 @@ def _table_7(found: Statistics, library: TissueLibrary, looks: dict[str, Look]) 
         profile = library.tissues.get(name)
         for parameter, value in parameters.items():
             rows.append([
-                f"{looks[name].title}: {UNITS[parameter]}", len(found.groups[name]), value.mean, value.geometric_mean,
+                looks[name].title, UNITS[parameter], len(found.groups[name]), value.mean, value.geometric_mean,
                 value.log_sd, getattr(profile, PARAMETERS[parameter]) if profile else None,
                 _printed_7(parameter, name, library),
             ])  # fmt: skip
     return Table(
         "Table VII: parameters at the grasp's end",
-        ["tissue", "grasps", "mean", "geometric mean", "SD of the logarithm", "library", "the paper's mean"],
+        ["tissue", "of", "grasps", "mean", "geometric mean", "SD of the logarithm", "library", "paper: mean"],
         rows,
         "Of the filter that explains the grasp best. The paper's means in these units: its α read in mN (bladder's in "
         "N) and its β divided by the library's thickness.",
@@ -108,4 +108,4 @@ def _tell_apart(found: Statistics, looks: dict[str, Look]) -> Table:
 
 def p_in_words(p: float) -> str:
     """A probability that is never told as nothing."""
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+    return "<\u00a00.001" if p < 0.001 else f"{p:.3f}"

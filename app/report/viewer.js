@@ -23,6 +23,10 @@
       const y = unpack(course.channels[i], data.logarithmic[i]);
       return { ...line, y, x: y.map((_, at) => course.begin_s + at * course.step_s) };
     });
+    const points = filled[0].x;
+    for (const [name, axis] of Object.entries(layout)) {
+      if (name.startsWith("xaxis")) axis.range = [points.at(0), points.at(-1)];
+    }
     return Plotly.react(box, [...filled, ...course.marks], layout, options);
   }
 

@@ -33,6 +33,8 @@ class Markup:
         return self.text
 
 
+WORDY, WORDS = (str, Markup), ' class="words"'
+
 STYLE = """
 :root { color-scheme: light dark; --page: #ffffff; --text: #1b1f24; --dim: #57606a; --edge: #d0d7de; --grid: #e4e8ec;
   --raised: #eef1f4; --bad: #a40000; --link: #00507f; --ink: #000000 }
@@ -46,15 +48,14 @@ table { border-collapse: collapse; margin: 0.5rem 0 1.5rem; font-variant-numeric
 caption { text-align: left; color: var(--dim); padding-bottom: 0.25rem }
 th, td { padding: 0.25rem 0.8rem; border-bottom: 1px solid var(--edge); text-align: right }
 th { font-weight: 600 }
-th:first-child, td:first-child, td.words { text-align: left }
+th:first-child, td:first-child, .words { text-align: left }
 .missed { color: var(--bad); font-weight: 600 }
 .wide { overflow-x: auto }
 .wide:focus-visible, a:focus-visible, button:focus-visible { outline: 3px solid var(--ink); outline-offset: 2px }
 .settings, .note, footer { color: var(--dim) }
 .plotly-graph-div .main-svg { background: transparent !important }
 .plotly-graph-div .bg { fill: transparent !important }
-.plotly-graph-div :is(.xtick, .ytick, .xtitle, .ytitle, .legendtext, .annotation-text, .gtitle),
-  .plotly-graph-div :is(.xtick, .ytick) text { fill: var(--text) !important }
+.plotly-graph-div :is(.xaxislayer-above, .yaxislayer-above, .infolayer) text { fill: var(--text) !important }
 .plotly-graph-div .gridlayer path { stroke: var(--grid) !important }
 .plotly-graph-div :is(.zerolinelayer, .xlines-above, .ylines-above) path { stroke: var(--edge) !important }
 .plotly-graph-div [style*="stroke: rgb(0, 0, 0)"] { stroke: var(--ink) !important }
@@ -90,13 +91,22 @@ def paragraphs(text: str) -> str:
 def table(content: Table, *, heading: bool = True, level: int = 2) -> str:
     """A table as HTML, in a box of its own that scrolls where it is too wide. Its title is a heading or a caption."""
     name = html.escape(content.title)
-    head = "".join(f'<th scope="col">{html.escape(column)}</th>' for column in content.columns)
+    head = headings(content.columns, content.rows)
     above = f"<h{level}>{name}</h{level}>" if heading else ""
     caption = "" if heading else f"<caption>{name}</caption>"
     note = f'<p class="note">{html.escape(content.note)}</p>' if content.note else ""
     return (
         f'{above}<div class="wide" tabindex="0" role="group" aria-label="{name}"><table>{caption}<thead><tr>{head}'
         f"</tr></thead><tbody>{rows(content.rows)}</tbody></table></div>{note}"
+    )
+
+
+def headings(columns: list[str], content: list[list[Any]]) -> str:
+    """A table's first row as HTML; words stand to the left, over words."""
+    first = [next((row[k] for row in content if row[k] is not None), None) for k in range(len(columns))]
+    return "".join(
+        f'<th scope="col"{WORDS if isinstance(value, WORDY) else ""}>{html.escape(column)}</th>'
+        for column, value in zip(columns, first, strict=True)
     )
 
 
@@ -109,7 +119,7 @@ def rows(content: Iterable[list[Any]]) -> str:
 
 
 def _data(value: Any) -> str:
-    return f'<td class="words">{cell(value)}</td>' if isinstance(value, (str, Markup)) else f"<td>{cell(value)}</td>"
+    return f"<td{WORDS if isinstance(value, WORDY) else ''}>{cell(value)}</td>"
 
 
 def cell(value: Any) -> str:
@@ -118,11 +128,13 @@ def cell(value: Any) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value in words: three significant digits, a dash where there is none."""
+    """A value in words: three significant digits, or all before the point; a dash where there is none."""
     if value is None:
         return NO_VALUE
     if isinstance(value, float):
-        return f"{value:.3g}" if math.isfinite(value) else NO_VALUE
+        if not math.isfinite(value):
+            return NO_VALUE
+        return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
     return str(value)
 
 
