@@ -103,7 +103,7 @@ def _every(grasps: int) -> int:
 
 
 def _list(values: np.ndarray | None) -> list[float] | None:
-    return None if values is None else [plain(round(float(value), 4)) for value in values]
+    return None if values is None else plain([round(float(value), 4) for value in values])
 
 
 # --- what is read -----------------------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from app.report.plots import LEGEND
 from app.report.story import Story
 from config.schema import TissueLibrary, TissueProfile
 from estimator.blocks import GraspRecord
-from estimator.model import force_curve
 
 REACH = 1.15  # of the highest injury threshold
 POINTS = 60
@@ -19,37 +18,37 @@ SMOOTHED = 9  # samples: the speed is taken over as many
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Strain, and stress in kPa as measured and by the grasp's own parameters (None where it has none), (n,) each."""
+    """Strain, and stress in kPa as measured and as a filter estimated it (NaN where it has no estimate), (n,) each."""
 
     strain: np.ndarray
     measured_kpa: np.ndarray
-    estimated_kpa: np.ndarray | None
+    estimated_kpa: np.ndarray
 
 
 def curve_of(story: Story, grasp: GraspRecord) -> Curve | None:
     """What a grasp gave while it closed on the tissue; None where nothing was held.
 
-    Damping is taken off the force, since the library's curves have none. The thickness is the one measured at contact,
-    or else that of the tissue named, or of the likeliest.
+    Damping is taken off the force, since the library's curves have none. The filter, and the thickness where none was
+    measured at contact, are those of the tissue named, or else of the likeliest.
     """
     rows = story.learned(grasp)
     rows = rows[np.isfinite(rows["tissue_displacement_m"]) & np.isfinite(rows["jaw_force_n"])]
     if len(rows) < 2 * SMOOTHED:
         return None
-    library, evenly = story.library, np.full(SMOOTHED, 1 / SMOOTHED)
+    tissues, evenly = story.library.tissues, np.full(SMOOTHED, 1 / SMOOTHED)
+    likeliest = max(tissues, key=lambda name: grasp.probabilities.get(name, 0.0))
+    named = grasp.label if grasp.label in tissues else likeliest
+    profile = tissues[named]
     x_m = np.convolve(rows["tissue_displacement_m"], evenly, "valid")
     force_n = np.convolve(rows["jaw_force_n"], evenly, "valid")
-    likeliest = max(library.tissues, key=lambda name: grasp.probabilities.get(name, 0.0))
-    profile = library.tissues.get(grasp.label) or library.tissues[likeliest]
+    estimated_n = np.convolve(rows["force_n"][:, [*tissues].index(named)], evenly, "valid")
     damping = grasp.damping_kg_per_s or profile.damping_kg_per_s
     elastic_n = force_n - damping * np.gradient(x_m) * story.rate_hz
     closed = int(np.argmax(x_m)) + 1
     thin = slice(0, closed, max(1, closed // POINTS))
     thickness_m = story.thickness_m.get(grasp.index) or profile.thickness_m
-    estimated = None
-    if grasp.alpha_n is not None and grasp.beta_per_m is not None:
-        estimated = force_curve(grasp.alpha_n, grasp.beta_per_m, x_m[thin]) / library.jaw_area_m2 / 1e3
-    return Curve(x_m[thin] / thickness_m, elastic_n[thin] / library.jaw_area_m2 / 1e3, estimated)
+    kpa_per_n = 1e-3 / story.library.jaw_area_m2
+    return Curve(x_m[thin] / thickness_m, kpa_per_n * elastic_n[thin], kpa_per_n * estimated_n[thin])
 
 
 def references(library: TissueLibrary, looks: dict[str, Look]) -> go.Figure:

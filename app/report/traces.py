@@ -20,11 +20,11 @@ class Grid:
 
     @classmethod
     def over(cls, ticks: np.ndarray, most_points: int) -> "Grid":
-        """For samples at rising `ticks`, with at most so many points."""
+        """For samples at rising `ticks`, with at most so many points, two at least."""
         if not len(ticks):
             return cls(0, 0, 1)
         span = int(ticks[-1] - ticks[0]) + 1
-        return cls(int(ticks[0]), span, 1 if span <= most_points else ceil(2 * span / most_points))
+        return cls(int(ticks[0]), span, 1 if span <= most_points else ceil(span / (most_points // 2)))
 
     @property
     def step(self) -> float:

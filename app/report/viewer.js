@@ -65,7 +65,7 @@
     const { data: lines, layout } = structuredClone(data.figures.references);
     const own = { x: grasp.strain, mode: "lines", line: { color: "#000000", width: 2.5 } };
     const measured = { ...own, y: grasp.measured_kpa, name: "measured" };
-    const estimated = { ...own, y: grasp.estimated_kpa, name: "by its parameters", line: { ...own.line, width: 1.5, dash: "dash" } };
+    const estimated = { ...own, y: grasp.estimated_kpa, name: "estimated", line: { ...own.line, width: 1.5, dash: "dash" } };
     Plotly.react(document.getElementById("grasp-stress"), [...lines, ...(grasp.strain ? [measured, estimated] : [])], layout, options);
     document.getElementById("grasp-before").disabled = index === 0;
     document.getElementById("grasp-after").disabled = index === data.grasps.length - 1;

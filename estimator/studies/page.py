@@ -78,7 +78,8 @@ def document(title: str, body: str, style: str = "", *, kind: str) -> str:
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="generator" content="{kind}">'
         f'<meta http-equiv="Content-Security-Policy" content="{html.escape(POLICY)}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{name}</title><style>{STYLE}{style}</style></head><body><main><h1>{name}</h1>{body}"
+        f'<link rel="icon" href="data:,"><title>{name}</title>'
+        f"<style>{STYLE}{style}</style></head><body><main><h1>{name}</h1>{body}"
         "<footer>Graspwatch: a research instrument, not a medical device.</footer></main></body></html>\n"
     )
 
