@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -112,11 +113,17 @@ def story_of(
         while (raw := recording.read_block()) is not None:
             teller.take(pipeline.process(raw))
             progress(teller.rows / recording.samples)
-    return teller.end(facts={"file": str(path), "size, bytes": path.stat().st_size})
+    return teller.end(facts=_facts(path))
 
 
 def _opened(path: Path, tool: Tool) -> Recording:
     return Recording(path, tool)
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    found = path.stat()
+    changed = datetime.fromtimestamp(found.st_mtime, UTC).isoformat(sep=" ", timespec="seconds")
+    return {"file": path.name, "size": f"{found.st_size / 1e6:.2f} MB", "last changed": changed}
 
 
 class Storyteller:
