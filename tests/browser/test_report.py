@@ -108,8 +108,9 @@ def test_it_needs_nothing_from_anywhere_and_has_every_section(opened):
     rules_of_axe_are_met(opened.page)
 
 
-def test_its_dark_side_can_be_read(watch, several):
-    page = drawn(watch(several, theme="dark")).page
+def test_its_dark_side_can_be_read(opened):
+    page = opened.page
+    page.emulate_media(color_scheme="dark")
     rules_of_axe_are_met(page)
     colours = "(part) => getComputedStyle(document.querySelector(part))"
     assert page.evaluate(f"({colours})('.y2tick text').fill") == "rgb(232, 237, 241)"
