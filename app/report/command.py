@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -144,6 +145,8 @@ def _check_place(page: Path, data: Path) -> None:
         raise ConfigurationError(f"--out {page}: the page's name must end in .html.")
     if not page.parent.is_dir():
         raise ConfigurationError(f"--out {page}: there is no folder {page.parent}. Make it, or name another file.")
+    if not os.access(page.parent, os.W_OK):
+        raise ConfigurationError(f"--out {page}: {page.parent} cannot be written to. Name a file in another folder.")
     for path, own in ((page, OWN_PAGE), (data, OWN_DATA)):
         try:
             with path.open("rb") as file:

@@ -3,110 +3,29 @@
 import html
 import json
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from plotly.offline import get_plotlyjs
 
+from app.report.drawing import COURSES_SHOWN, drawn_by_script, one_in
 from app.report.grasp_table import grasp_table
-from app.report.plots import Channel, alarm_marks, bare, box_plots, channels, course, course_template, verdict_bars
-from app.report.report import READING, Report, versions
-from app.report.stress import add_grasp, curve_of, references
+from app.report.report import Progress, Report, versions
 from app.report.style import STYLE
 from app.report.tables import statistics_tables
-from estimator.studies.page import Table, document, plain, shown, table
+from estimator.studies.page import Table, document, shown, table
 
 KIND = "Graspwatch report"
-
-COURSES_SHOWN = 24  # recordings; the grasps of more are shown one by one only
-GRASPS_DRAWN = 1000  # more are in the table only
-COURSE_BYTES, GRASP_BYTES = 2_500_000, 4_000_000  # of all courses together, and of all grasps' own
-COURSE_POINTS, GRASP_POINTS, LEAST_POINTS = 3000, 2000, 80
-BYTES_A_POINT = 8 / 3  # 16 bits in base64
-CURVES_TOGETHER = 60  # in the plot of all grasps
-
-Progress = Callable[[float], None]  # share done
 
 
 def page(report: Report, progress: Progress) -> str:
     """The whole page."""
-    lines = channels(report.library, report.looks)
-    data = _data(report, lines, progress)
+    data = drawn_by_script(report, progress)
     body = "".join([
         _summary(report), _grasps(report, data), _courses(report, data), _stress(report), _statistics(report),
-        _how(report, data, lines), _script(data),
+        _how(report, data), _script(data),
     ])  # fmt: skip
     return document(report.title, body, STYLE, kind=KIND)
-
-
-# --- what is drawn ----------------------------------------------------------------------------------------------------
-
-
-def _data(report: Report, lines: list[Channel], progress: Progress) -> dict[str, Any]:
-    """Everything that the page's script draws."""
-    library, looks = report.library, report.looks
-    drawn = report.grasps[:GRASPS_DRAWN]
-    most = _points(GRASP_BYTES, len(drawn), len(lines), GRASP_POINTS)
-    grasps = []
-    for number, (story, grasp, _) in enumerate(drawn):
-        marks = verdict_bars([grasp], looks) + alarm_marks(story.alarms_of(grasp), story.rate_hz)
-        curve = curve_of(story, grasp)
-        grasps.append({
-            "title": f"Grasp {grasp.index} of {story.title}: {looks[grasp.label].title}",
-            "course": course(story, story.during(grasp), lines, most, marks),
-            "strain": _list(curve and curve.strain),
-            "measured_kpa": _list(curve and curve.measured_kpa),
-            "estimated_kpa": _list(curve and curve.estimated_kpa),
-        })  # fmt: skip
-        progress(READING + (1 - READING) * 0.8 * (number + 1) / len(drawn))
-    figures = {"references": bare(references(library, looks))}
-    if report.grasps:
-        figures["stress"] = _all_curves(report)
-    if report.statistics.groups:
-        figures["boxes"] = box_plots(report.statistics, library, looks)
-    return {
-        "course": course_template(library, looks, lines),
-        "logarithmic": [line.logarithmic for line in lines],
-        "courses": _course_data(report, lines) if len(report.stories) <= COURSES_SHOWN else [],
-        "grasps": grasps,
-        "figures": figures,
-    }
-
-
-def _course_data(report: Report, lines: list[Channel]) -> list[dict[str, Any]]:
-    most = _points(COURSE_BYTES, len(report.stories), len(lines), COURSE_POINTS)
-    courses = []
-    for story in report.stories:
-        alarms = [alarm for grasp in story.grasps for alarm in story.alarms_of(grasp)]
-        marks = verdict_bars(story.grasps, report.looks) + alarm_marks(alarms, story.rate_hz)
-        courses.append(course(story, story.traces, lines, most, marks))
-    return courses
-
-
-def _points(room_bytes: int, of: int, lines: int, most: int) -> int:
-    return int(min(max(room_bytes / max(of, 1) / lines / BYTES_A_POINT, LEAST_POINTS), most))
-
-
-def _all_curves(report: Report) -> dict[str, Any]:
-    figure = references(report.library, report.looks)
-    for story, grasp, observation in report.grasps[:: _every(len(report.grasps))]:
-        if curve := curve_of(story, grasp):
-            look = report.looks.get(observation.group, report.looks[grasp.label])
-            add_grasp(figure, curve, f"{story.title}, {grasp.index}", look)
-    return bare(figure)
-
-
-def _every(grasps: int) -> int:
-    return max(1, -(-grasps // CURVES_TOGETHER))
-
-
-def _list(values: np.ndarray | None) -> list[float] | None:
-    return None if values is None else plain([round(float(value), 4) for value in values])
-
-
-# --- what is read -----------------------------------------------------------------------------------------------------
 
 
 def _summary(report: Report) -> str:
@@ -180,7 +99,7 @@ def _courses(report: Report, data: dict[str, Any]) -> str:
 
 
 def _stress(report: Report) -> str:
-    every = _every(len(report.grasps))
+    every = one_in(len(report.grasps))
     which = f"One grasp in {every}" if every > 1 else "Every grasp"
     words = (
         f"Thick lines: the library, with a band of one standard deviation between specimens. {which} while it closed: "
@@ -250,7 +169,7 @@ def _ranges(numbers: list[int]) -> str:
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
 
 
-def _how(report: Report, data: dict[str, Any], lines: list[Channel]) -> str:
+def _how(report: Report, data: dict[str, Any]) -> str:
     rate_hz = report.stories[0].rate_hz
 
     def pairs(courses: list[dict[str, Any]]) -> str:

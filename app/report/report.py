@@ -1,7 +1,7 @@
 """A report of one recording or of many: read, compared, and written as a page and as JSON."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,14 +14,13 @@ import scipy
 from app import __version__
 from app.report.looks import Look, looks_of
 from app.report.statistics import Observation, Statistics, Told, statistics
-from app.report.story import Story, story_of
+from app.report.story import Progress, Story, open_recording, story_of
 from app.report.tables import statistics_tables
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.blocks import GraspRecord
 from estimator.studies.page import plain
 
-Progress = Callable[[float], None]  # share done
-READING = 0.75  # of the time that a report takes; the rest is for the page
+READING = 0.85  # of the time that a report takes; the rest is for the page
 
 
 @dataclass(frozen=True)
@@ -121,21 +120,21 @@ def read_report(
     files: Sequence[Path], tool: Tool, library: TissueLibrary, settings: Settings, labels: Mapping[Path, str],
     progress: Progress,
 ) -> Report:  # fmt: skip
-    """Take recordings through the estimator, one after the other.
+    """Open all recordings, then take them through the estimator, one after the other.
 
     Raises:
         RecordingError: one cannot be read; names file and line.
     """
     titles = _titles(files)
-    sizes = [path.stat().st_size if path.is_file() else 0 for path in files]
-    whole, before, stories = sum(sizes) or 1, 0, []
-    for path, size in zip(files, sizes, strict=True):
+    recordings = [open_recording(path, tool) for path in files]
+    whole, before, stories = sum(recording.samples for recording in recordings), 0, []
+    for recording in recordings:
 
-        def share(done: float, before: int = before, size: int = size) -> None:
-            progress(READING * (before + done * size) / whole)
+        def share(done: float, before: int = before, samples: int = recording.samples) -> None:
+            progress(READING * (before + done * samples) / whole)
 
-        stories.append(story_of(path, titles[path], tool, library, settings, share))
-        before += size
+        stories.append(story_of(recording, titles[recording.path], tool, library, settings, share))
+        before += recording.samples
     name = titles[files[0]] if len(files) == 1 else f"{len(files)} recordings"
     return Report(f"Report: {name}", tuple(stories), {titles[path]: label for path, label in labels.items()})
 

@@ -98,26 +98,26 @@ def _range(errors_n: np.ndarray) -> tuple[float, float] | None:
     return (float(sound.min()), float(sound.max())) if len(sound) else None
 
 
-def story_of(
-    path: Path, title: str, tool: Tool, library: TissueLibrary, settings: Settings, progress: Progress
-) -> Story:
-    """Take a recording through calibration, conditioning, estimation and identification, and keep what is found.
+def open_recording(path: Path, tool: Tool) -> Recording:
+    """A recording to be taken as fast as it goes.
 
     Raises:
         RecordingError: the file cannot be read; names file and line.
     """
-    recording = _opened(path, tool)
+    return Recording(path, tool)
+
+
+def story_of(
+    recording: Recording, title: str, tool: Tool, library: TissueLibrary, settings: Settings, progress: Progress
+) -> Story:
+    """Take a recording through calibration, conditioning, estimation and identification, and keep what is found."""
     teller = Storyteller(title, tool, library, settings, recording.samples)
     pipeline = Pipeline(tool, settings.conditioning)
     with recording:
         while (raw := recording.read_block()) is not None:
             teller.take(pipeline.process(raw))
             progress(teller.rows / recording.samples)
-    return teller.end(facts=_facts(path))
-
-
-def _opened(path: Path, tool: Tool) -> Recording:
-    return Recording(path, tool)
+    return teller.end(facts=_facts(recording.path))
 
 
 def _facts(path: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from simulation import joined, simulate_raw, write_lvm
 
 from app.headless import replay_recording
 from app.report.report import Report, read_report
-from app.report.story import story_of
+from app.report.story import open_recording, story_of
 from app.report.stress import curve_of
 from config.errors import RecordingError
 from estimator.alarms import Priority
@@ -18,7 +18,7 @@ from estimator.alarms import Priority
 def test_a_recording_s_story_has_the_grasps_of_its_replay(tmp_path, recording_tool, library, settings):
     path = write_lvm(tmp_path / "gallbladder.lvm", joined(simulate_raw("gallbladder", cycles=2)))
     shares = []
-    story = story_of(path, "a title", recording_tool, library, settings, shares.append)
+    story = story_of(open_recording(path, recording_tool), "a title", recording_tool, library, settings, shares.append)
     replayed = replay_recording(path, recording_tool, library, settings, speed=None, progress=lambda _: None)
     assert [*story.grasps] == replayed.grasps
     assert (story.title, len(story.traces), story.tissue) == ("a title", replayed.samples, None)
