@@ -21,7 +21,7 @@ from estimator.decision import UNKNOWN
 from estimator.studies.page import INK
 
 RAW = "#8a96a0"
-AXES = {"verdict": 0.22, "force, N": 1.5, "displacement, mm": 1.0, "probability": 1.0, "α, N": 0.8, "β, 1/m": 0.8,
+AXES = {"verdict": 0.22, "force, N": 1.5, "displ., mm": 1.0, "probability": 1.0, "α, N": 0.8, "β, 1/m": 0.8,
         "d, kg/s": 0.8}  # fmt: skip
 VERDICT, FORCE, DISPLACEMENT, PROBABILITY, ALPHA = 1, 2, 3, 4, 5  # rows of a course
 HEIGHT = 700

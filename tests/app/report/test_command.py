@@ -66,6 +66,15 @@ def test_a_recording_of_the_data_folder_is_found_by_its_name(folder, tmp_path):
     assert json.loads((tmp_path / "run.json").read_text())["report"] == "Report: run-7.lvm"
 
 
+def test_a_name_is_a_name_and_no_part_of_the_page(folder, tmp_path):
+    path = tmp_path / "<b onclick=x>'&amp.lvm"
+    path.write_bytes((folder / "liver.lvm").read_bytes())
+    called(path, "--tool", "simulated", "--out", tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    assert "<b onclick" not in text
+    assert "&lt;b onclick=x&gt;&#x27;&amp;amp.lvm" in text
+
+
 @pytest.mark.parametrize(
     ("words", "error", "told"),
     [
