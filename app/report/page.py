@@ -56,9 +56,10 @@ def _summary(report: Report) -> str:
         f"<li>{html.escape(key)}: {html.escape(shown(value))}</li>"
         for key, value in (report.stories[0].facts.items() if len(report.stories) == 1 else ())
     )
+    tools = ", ".join(dict.fromkeys(story.tool.title for story in report.stories))
     return (
         f'<nav class="screen-only" aria-label="Sections"><ul class="menu">{menu}</ul></nav>'
-        f'<ul class="facts">{facts}<li>tool: {html.escape(report.stories[0].tool.title)}</li>'
+        f'<ul class="facts">{facts}<li>tool: {html.escape(tools)}</li>'
         f"<li>library: {html.escape(report.library.title)}</li></ul>"
         + table(Table("What was recorded and found", columns, rows), heading=False)
     )

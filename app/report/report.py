@@ -59,7 +59,6 @@ class Report:
         return {
             "report": self.title,
             "versions": versions(),
-            "tool": self.stories[0].tool.name,
             "library": self.library.name,
             "recordings": [self._recording(story) for story in self.stories],
             "left_out": [
@@ -89,6 +88,7 @@ class Report:
         return {
             "title": story.title,
             "facts": plain(story.facts),
+            "tool": story.tool.name,
             "samples": len(story.traces),
             "lost_samples": story.lost_samples,
             "duration_s": story.duration_s,
