@@ -49,7 +49,7 @@ def _cells(report: Report, story: Story, record: GraspRecord, observation: Obser
         Markup(drawn), f"{record.start_s:.3f}", _verdict(report.looks[record.label]), _percent(record.probability),
         None if decided is None else round(1e3 * decided), record.peak_force_n, None if moved is None else 1e3 * moved,
         record.alpha_n, record.beta_per_m, record.damping_kg_per_s, observation.convergence_s,
-        observation.force_error_n, _warnings(story, record), _remarks(report, story, record),
+        observation.force_error_n, _warnings(story, record), _remarks(report, story, record, observation),
     ]  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def _warnings(story: Story, record: GraspRecord) -> str:
     return ", ".join(f"{alarm.priority} ({alarm.force_n:.2f} N)" for alarm in story.alarms_of(record))
 
 
-def _remarks(report: Report, story: Story, record: GraspRecord) -> str:
+def _remarks(report: Report, story: Story, record: GraspRecord, observation: Observation) -> str:
     said = [record.why_invalid] if record.why_invalid else []
     if record.label == UNDECIDED and record.probabilities:
         top, share = max(record.probabilities.items(), key=lambda each: each[1])
@@ -78,4 +78,6 @@ def _remarks(report: Report, story: Story, record: GraspRecord) -> str:
         if one.grasp == record.index:
             after_s = one.tick / story.rate_hz - record.start_s
             said.append(f"{report.looks[one.label].title} withdrawn {after_s:.2f} s after its start")
+    if observation.diverged:
+        said.append(f"filter of {report.looks[observation.filter].title} diverged")
     return "; ".join(said)

@@ -12,6 +12,7 @@ from estimator.blocks import GraspRecord
 from estimator.decision import UNDECIDED, UNKNOWN
 
 SIGNIFICANT = 0.05  # the paper's p
+DIVERGED = 100.0  # times the grasp's largest force
 LEAST = 2  # grasps of a group: fewer have no spread
 PARAMETERS = {"alpha": "alpha_n", "beta": "beta_per_m", "d": "damping_kg_per_s"}  # the paper's names, the record's
 
@@ -52,9 +53,21 @@ class Observation:
         return self.record.convergence_s[self.filter]
 
     @property
+    def diverged(self) -> bool:
+        """Whether its filter's force ran so far away that no number of it means anything."""
+        errors = [self.record.force_error_n[self.filter], *(self.force_errors_n.get(self.filter) or ())]
+        most_n = DIVERGED * (self.record.peak_force_n or 0.0)
+        return any(abs(error) > most_n for error in errors if error is not None)
+
+    @property
     def force_error_n(self) -> float | None:
-        """Mean over the grasp."""
-        return self.record.force_error_n[self.filter]
+        """Mean over the grasp; None where the filter diverged."""
+        return None if self.diverged else self.record.force_error_n[self.filter]
+
+    @property
+    def sample_errors_n(self) -> tuple[float, float] | None:
+        """Lowest and highest of a sample; None where the filter diverged."""
+        return None if self.diverged else self.force_errors_n.get(self.filter)
 
     @property
     def parameters(self) -> tuple[float, float, float] | None:
@@ -175,7 +188,7 @@ def statistics(observations: list[Observation], tissues: Iterable[str]) -> Stati
 
 
 def _convergence(group: list[Observation]) -> Convergence:
-    ranges = [errors for one in group if (errors := one.force_errors_n.get(one.filter))]
+    ranges = [errors for one in group if (errors := one.sample_errors_n)]
     means = Extent.of(one.force_error_n for one in group)
     samples = Extent.of([low for low, _ in ranges] + [high for _, high in ranges])
     return Convergence(

@@ -39,8 +39,9 @@ def _table_6(found: Statistics, looks: dict[str, Look]) -> Table:
         rows,
         "Of the tissue's own filter; of a group that is not in the library, of the likeliest tissue's. The time counts "
         "from contact until the error stays within 15 % of the grasp's largest force; a grasp where it never does is "
-        "not counted. Force error: estimated less measured, while the tissue is held; the "
-        "mean of single samples is that of the grasps' means. The paper does not say which of the two it prints.",
+        "not counted. Force error: estimated less measured, while the tissue is held; the mean of single samples is "
+        "that of the grasps' means. A filter whose force is off by more than a hundred times the largest measured one "
+        "has diverged, and its force error is not counted. The paper does not say which of the two errors it prints.",
     )
 
 

@@ -39,6 +39,17 @@ def test_table_6_is_max_mean_and_min_of_those_that_converge():
     assert row.sample_error_n == Extent(0.9, pytest.approx(0.2), -0.5, 2)
 
 
+def test_a_filter_that_diverged_has_no_force_error():
+    grasps = [
+        observed(record(peak_force_n=1.5, force_error_n=0.1), errors=(-0.2, 149.0)),
+        observed(record(peak_force_n=1.5, force_error_n=0.3), errors=(-0.2, 151.0)),
+        observed(record(peak_force_n=1.5, force_error_n=-151.0), errors=None),
+    ]
+    assert [one.diverged for one in grasps] == [False, True, True]
+    row = statistics(grasps, TISSUES).table_6["liver"]
+    assert (row.error_n.count, row.error_n.mean, row.sample_error_n.largest) == (1, 0.1, 149.0)
+
+
 def test_table_7_has_both_means_and_the_scatter_of_the_logarithm():
     found = statistics([observed(record(alpha_n=1.0)), observed(record(alpha_n=4.0))], TISSUES)
     alpha = found.table_7["liver"]["alpha"]
