@@ -23,6 +23,7 @@ from app.options import (
     data_folder,
     errors,
 )
+from app.report.command import report
 from app.study import command as study
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
@@ -38,7 +39,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(study.app, name="study")
-for command in exchange.COMMANDS:
+for command in (*exchange.COMMANDS, report):
     app.command(command.__name__.strip("_").replace("_", "-"))(command)
 
 

@@ -18,6 +18,7 @@ from app.demo import demonstrate
 from app.plan import ServicePlan
 from app.replay.films import Films
 from app.replay.shelf import Shelf
+from app.report.reports import Reports
 from app.roles import Admin, is_loopback
 from app.routes import alarms, catalogue, history, live, recordings, runs, studies, system
 from app.station import Station
@@ -46,9 +47,13 @@ def create_app(plan: ServicePlan) -> FastAPI:
         desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
         index = contextlib.aclosing(station.index)  # closed last: whatever ends has something to tell
         films, shelf = contextlib.aclosing(Films(plan)), contextlib.aclosing(Shelf(plan))
+        reports = contextlib.aclosing(Reports(plan))
         await station.start()
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
-        async with index, desk as app.state.studies, films as app.state.films, shelf as app.state.shelf:
+        async with (
+            index, desk as app.state.studies, films as app.state.films, shelf as app.state.shelf,
+            reports as app.state.reports,
+        ):  # fmt: skip
             try:
                 yield
             finally:

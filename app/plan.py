@@ -45,3 +45,7 @@ class ServicePlan:
     @property
     def studies_folder(self) -> Path:
         return self.data / "studies"
+
+    @property
+    def reports_folder(self) -> Path:
+        return self.data / "reports"

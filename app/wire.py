@@ -421,6 +421,12 @@ class Recordings(Wire):
     recordings: list[RecordingInfo]
 
 
+class ReportProgress(Wire):
+    """A report that is being made."""
+
+    done: float = Field(description="Share, 0 to 1")
+
+
 class StudyInfo(Wire):
     """A study that can be carried out."""
 

@@ -47,7 +47,7 @@ class Recording:
             RecordingError: the file cannot be read, or is no recording; names the place.
         """
         self.path = path
-        self.container = Container(path) if _is_mcap(path) else None
+        self.container = Container(path) if is_mcap(path) else None
         self.first_tick = 0  # of an MCAP file: what its own ticks count from
         self.tool = tool if self.container is None else tool_of(self.container)
         self._recorded = self._read()
@@ -149,7 +149,7 @@ def tool_of(container: Container) -> Tool:
         raise RecordingError(f"{container.path}: the tool it was recorded with cannot be read ({why}).") from None
 
 
-def _is_mcap(path: Path) -> bool:
+def is_mcap(path: Path) -> bool:
     """By its beginning, or by its name where it has none."""
     try:
         with path.open("rb") as file:

@@ -7,21 +7,27 @@ from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response, WebSocket
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 
 from app.live import Viewer
 from app.problems import PROBLEM, ProblemError
 from app.replay.films import Films
 from app.replay.player import Replay, refuse
 from app.replay.shelf import Shelf
+from app.report.reports import Reports
 from app.roles import Admin, Role
 from app.routes.paging import tell_page
+from app.routes.studies import REPORT_POLICY
 from app.station import Station
 from app.store.questions import RecordingQuestion
-from app.wire import FileRecord, JournalKind, Person, RecordingInfo, Recordings
-from config.errors import GraspwatchError, RefusedError
+from app.wire import FileRecord, JournalKind, Person, RecordingInfo, Recordings, ReportProgress
+from config.errors import GraspwatchError, RecordingError, RefusedError
 
 router = APIRouter(prefix="/api/recordings", tags=["recordings"])
+WAITING = Path(__file__).parents[1] / "report" / "waiting.html"
+WAITING_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; img-src 'self'"
+)
 
 
 @router.get("")
@@ -127,6 +133,38 @@ async def _record(station: Station, path: Path) -> FileRecord:
         made_at=datetime.fromtimestamp(found.st_mtime, UTC).isoformat(timespec="milliseconds"),
         duration_s=None, samples=None, lost_samples=None, format_version=None, condition=None, problem=None,
     )  # fmt: skip
+@router.get(
+    "/{name}/report",
+    response_class=HTMLResponse,
+    responses={
+        200: {"description": "The page, self-contained"},
+        202: {"description": "It is being made: how far it is, or a page that waits for it", "model": ReportProgress},
+        404: {"description": "No such recording", **PROBLEM},
+        422: {"description": "The recording cannot be read", **PROBLEM},
+        503: {"description": "Too many reports are being made", **PROBLEM},
+    },
+)
+async def report(request: Request, name: str) -> Response:
+    """The recording's report. It is made when it is first asked for, which takes a second for half a minute of it.
+
+    Ask again until the answer is no more 202; a browser gets a page that does so.
+    """
+    reports: Reports = request.app.state.reports
+    path = await _path(request, name)
+    try:
+        made = await reports.ask(path)
+    except RecordingError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error)) from None
+    except RefusedError as error:
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+    fresh = {"Cache-Control": "no-store", "Vary": "Accept"}
+    if isinstance(made, Path):
+        policy = {"Content-Security-Policy": REPORT_POLICY}
+        return FileResponse(made, media_type="text/html", headers=fresh | policy)
+    if "text/html" in request.headers.get("accept", ""):
+        policy = {"Content-Security-Policy": WAITING_POLICY}
+        return HTMLResponse(WAITING.read_text(encoding="utf-8"), HTTPStatus.ACCEPTED, fresh | policy)
+    return JSONResponse(ReportProgress(done=made).model_dump(), HTTPStatus.ACCEPTED, fresh)
 
 
 @router.websocket("/{name}/replay")

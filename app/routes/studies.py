@@ -13,16 +13,13 @@ from app.wire import StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import choose
 from estimator.studies.catalogue import STUDIES, StudyEntry
+from estimator.studies.page import POLICY
 
 router = APIRouter(prefix="/api/studies", tags=["studies"])
 NOT_FOUND = {404: {"description": "No such study, or nothing to show yet", **PROBLEM}}
 
-# The page carries its plots' script in itself and needs nothing from anywhere. The sandbox makes it a stranger to the
-# dashboard, so that it could not stop a tool; a plot can be saved as a picture.
-REPORT_POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
-    "sandbox allow-scripts allow-downloads"
-)
+# The sandbox makes the page a stranger to the dashboard, so that it could not stop a tool.
+REPORT_POLICY = f"{POLICY}; sandbox allow-scripts allow-downloads"
 
 
 def desk_of(request: Request) -> StudyDesk:

@@ -12,6 +12,7 @@ from estimator.filter import ABOUT, LOG_DAMPING, PARAMETERS, V, X
 from estimator.model import force_curve
 from estimator.rivals.printed import ALPHA, BETA, DAMPING
 from estimator.rivals.printed import X as PRINTED_X
+from estimator.studies.printed_tables import TABLE_3, TABLE_4_N, TABLE_4_S, TABLE_5_S
 from estimator.studies.refine import log_evidence, parameter_bound, refine
 from estimator.studies.report import COLOURS, Figure, Study, Table
 from estimator.studies.runner import Progress, run_cases
@@ -29,16 +30,6 @@ from estimator.studies.sine import (
     simulate_sine,
 )
 
-# What the paper printed, in the order liver, small bowel, bladder, gallbladder.
-TABLE_3 = {
-    "alpha": (799.9094, 489.3628, 0.0046, 356.6571),
-    "beta": (14.5509, 12.0474, 20.5933, 11.4143),
-    "d": (4.7069, 5.014, 2.489, 1.3985),
-}
-TABLE_4_S = (0.379, 0.354, 0.282, 0.369)
-TABLE_4_N = (0.014, 0.010, 0.010, 0.013)
-TABLE_5_S = ((0.366, 0.384, 1.217, 6.807), (0.339, 0.359, 1.047, 4.621), (8.220, 8.220, 0.274, 2.470),
-             (9.061, 9.032, 1.429, 0.371))  # fmt: skip
 PARAMETERS_OF = ("alpha", "beta", "d")
 
 

@@ -2,13 +2,14 @@
 
 import html
 import json
-import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import plotly.graph_objects as go
 import plotly.io
+
+from estimator.studies.page import Markup, Table, document, paragraphs, plain, shown, table
 
 # Okabe and Ito's palette, as on the dashboard
 COLOURS = {
@@ -47,15 +48,6 @@ class Figure:
         return "" if self.at_least is None else f"at least {self.at_least:g} {self.unit}".rstrip()
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table of numbers and words; numbers are shown with three significant digits."""
-
-    title: str
-    columns: list[str]
-    rows: list[list[Any]]
-
-
 @dataclass(slots=True)
 class Study:
     """What a study found, in the order in which it is to be read."""
@@ -91,70 +83,22 @@ class Study:
         first = True
         for part in self.parts:
             if isinstance(part, Table):
-                bodies.append(_html_table(part))
+                bodies.append(table(part))
                 continue
             title, figure = part
             figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 30, "b": 50}, height=420)
             plot = plotly.io.to_html(figure, full_html=False, include_plotlyjs=first, config={"displaylogo": False})
             bodies.append(f"<h2>{html.escape(title)}</h2>{plot}")
             first = False
-        asked = ", ".join(f"{key} {_shown(value)}" for key, value in self.settings.items())
-        paragraphs = "".join(f"<p>{html.escape(text)}</p>" for text in self.explanation.strip().split("\n\n"))
-        return (
-            f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(self.title)}</title>'
-            f"<style>{STYLE}</style></head><body><main><h1>{html.escape(self.title)}</h1>"
-            f'<p class="settings">{html.escape(asked)}</p>{paragraphs}{"".join(bodies)}'
-            "<footer>Graspwatch: a research instrument, not a medical device.</footer></main></body></html>\n"
-        )
-
-
-STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1b1f24; margin: 0 }
-main { max-width: 1100px; margin: 0 auto; padding: 1rem 1.5rem }
-table { border-collapse: collapse; margin: 0.5rem 0 1.5rem; font-variant-numeric: tabular-nums }
-th, td { padding: 0.25rem 0.8rem; border-bottom: 1px solid #d0d7de; text-align: right }
-th:first-child, td:first-child { text-align: left }
-td.words { text-align: left }
-.missed { color: #a40000; font-weight: 600 }
-.wide { overflow-x: auto }
-.settings, footer { color: #57606a }
-"""
+        asked = ", ".join(f"{key} {shown(value)}" for key, value in self.settings.items())
+        above = f'<p class="settings">{html.escape(asked)}</p>{paragraphs(self.explanation)}'
+        return document(self.title, above + "".join(bodies), kind="Graspwatch study")
 
 
 def _figures_table(figures: list[Figure]) -> str:
     words = {True: "reached", False: '<span class="missed">not reached</span>', None: ""}
-    rows = "".join(
-        f"<tr><td>{html.escape(f.name)}</td><td>{_shown(f.value)} {html.escape(f.unit)}</td>"
-        f"<td>{html.escape(f.floor)}</td><td>{words[f.reached]}</td>"
-        f'<td class="words">{html.escape(f.note)}</td></tr>'
-        for f in figures
-    )
-    head = "<tr><th>Figure</th><th>Measured</th><th>To reach</th><th></th><th></th></tr>"
-    return f"<table>{head}{rows}</table>"
-
-
-def _html_table(table: Table) -> str:
-    head = "".join(f"<th>{html.escape(column)}</th>" for column in table.columns)
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(_shown(value))}</td>" for value in row) + "</tr>" for row in table.rows
-    )
-    return f"<h2>{html.escape(table.title)}</h2><div class='wide'><table><tr>{head}</tr>{rows}</table></div>"
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, float):
-        return f"{value:.3g}" if math.isfinite(value) else "–"
-    return str(value)
-
-
-def plain(value: Any) -> Any:
-    """Numpy numbers as Python's, what is not finite as None, whatever the nesting."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if hasattr(value, "item"):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    content = [
+        [f.name, f"{shown(f.value)} {f.unit}".rstrip(), f.floor, Markup(words[f.reached]), f.note] for f in figures
+    ]
+    columns = ["Figure", "Measured", "To reach", "Reached?", "Note"]
+    return table(Table("Figures", columns, content))

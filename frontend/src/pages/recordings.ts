@@ -114,6 +114,11 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement): Row<RecordingInf
   const replay = create("a", "action", "Replay");
   replay.href = `/recordings/${address}`;
   replay.ariaLabel = `Replay ${name}`;
+  const report = create("a", "action", "Report");
+  report.href = `/api/recordings/${address}/report`;
+  report.target = "_blank";
+  report.rel = "noopener";
+  report.ariaLabel = `Report of ${name}, opens in a new tab`;
   const download = create("a", "action", "Download");
   download.href = `/api/recordings/${address}/file`;
   download.download = name;
@@ -122,12 +127,13 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement): Row<RecordingInf
   what.append(link, run, small, problem);
   const actions = create("td", "actions");
   const buttons = create("div");
-  buttons.append(replay, download, remove);
+  buttons.append(replay, report, download, remove);
   actions.append(buttons);
   element.append(what, when, length, size, actions);
   const update = (recording: RecordingInfo): void => {
     setLink(link, recording.problem === null ? replay.href : null);
     setHidden(replay, recording.problem !== null);
+    setHidden(report, recording.problem !== null);
     setText(problem, problemInWords(recording));
     const modified = dateTime(recording.modified_at);
     if (when.textContent !== modified) when.replaceChildren(moment(recording.modified_at, modified));

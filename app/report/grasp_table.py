@@ -1,0 +1,83 @@
+"""The table of all grasps: what each was called, how sure and how soon, its parameters and its warnings."""
+
+import html
+
+from app.report.looks import Look
+from app.report.report import Report
+from app.report.spark import spark
+from app.report.statistics import Observation
+from app.report.story import Story
+from estimator.blocks import GraspRecord
+from estimator.decision import UNDECIDED
+from estimator.studies.page import WORDS, Markup, rows
+
+COLUMNS = ["grasp", "force", "start, s", "verdict", "probability", "decided after, ms", "peak force, N",
+           "peak displacement, mm", "α, N", "β, 1/m", "d, kg/s", "convergence, s", "force error, N", "warnings",
+           "remarks"]  # fmt: skip
+IN_WORDS = {"force", "start, s", "verdict", "probability", "warnings", "remarks"}
+
+
+def grasp_table(report: Report, drawn: int) -> str:
+    """As HTML; the first `drawn` grasps have a button that draws them."""
+    parts, number = [], 0
+    for story in report.stories:
+        own = [(record, observation) for told_by, record, observation in report.grasps if told_by is story]
+        most_n = max((record.peak_force_n or 0.0 for record, _ in own), default=0.0)
+        lines = []
+        for record, observation in own:
+            button = f'data-grasp="{number}" aria-label="Grasp {record.index} of {html.escape(story.title)}"'
+            name = f'<button type="button" {button}>{record.index}</button>' if number < drawn else str(record.index)
+            lines.append([Markup(name), *_cells(report, story, record, observation, most_n)])
+            number += 1
+        if len(report.stories) > 1:
+            title = html.escape(story.title)
+            parts.append(f'<tr><th scope="rowgroup" colspan="{len(COLUMNS)}">{title}</th></tr>')
+        parts.append(rows(lines))
+    head = "".join(f'<th scope="col"{WORDS if name in IN_WORDS else ""}>{html.escape(name)}</th>' for name in COLUMNS)
+    return (
+        '<div class="grasps" tabindex="0" role="group" aria-label="All grasps"><table><caption>Convergence and force '
+        "error are of the filter of what was held. Dashed in the force: the injury threshold.</caption>"
+        f"<thead><tr>{head}</tr></thead><tbody>{''.join(parts)}</tbody></table></div>"
+    )
+
+
+def _cells(report: Report, story: Story, record: GraspRecord, observation: Observation, most_n: float) -> list:
+    traces = story.during(record)
+    drawn = spark(traces["tick"], traces["jaw_force_filtered_n"], traces["threshold_n"], most_n)
+    decided, moved = record.time_to_decision_s, record.peak_displacement_m
+    return [
+        Markup(drawn), f"{record.start_s:.3f}", _verdict(report.looks[record.label]), _percent(record.probability),
+        None if decided is None else round(1e3 * decided), record.peak_force_n, None if moved is None else 1e3 * moved,
+        record.alpha_n, record.beta_per_m, record.damping_kg_per_s, observation.convergence_s,
+        observation.force_error_n, _warnings(story, record), _remarks(report, story, record, observation),
+    ]  # fmt: skip
+
+
+def _verdict(look: Look) -> Markup:
+    style = f"background: {look.colour}; color: {look.on}"
+    return Markup(f'<span class="mark" style="{style}">{look.mark}</span> {html.escape(look.title)}')
+
+
+def _percent(share: float | None) -> str | None:
+    """Never all or nothing unless it is."""
+    if share is None:
+        return None
+    return "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
+
+
+def _warnings(story: Story, record: GraspRecord) -> str:
+    return ", ".join(f"{alarm.priority} ({alarm.force_n:.2f} N)" for alarm in story.alarms_of(record))
+
+
+def _remarks(report: Report, story: Story, record: GraspRecord, observation: Observation) -> str:
+    said = [record.why_invalid] if record.why_invalid else []
+    if record.label == UNDECIDED and record.probabilities:
+        top, share = max(record.probabilities.items(), key=lambda each: each[1])
+        said.append(f"likeliest: {report.looks[top].title}, {_percent(share)}")
+    for one in story.withdrawals:
+        if one.grasp == record.index:
+            after_s = one.tick / story.rate_hz - record.start_s
+            said.append(f"{report.looks[one.label].title} withdrawn {after_s:.2f} s after its start")
+    if observation.diverged:
+        said.append(f"filter of {report.looks[observation.filter].title} diverged")
+    return "; ".join(said)

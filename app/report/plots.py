@@ -1,0 +1,180 @@
+"""The report's plots: courses over time, stress over strain, and box plots of the parameters."""
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+import plotly.io
+from plotly.subplots import make_subplots
+
+from app.report.looks import ALARMS, Look
+from app.report.statistics import PARAMETERS, Statistics
+from app.report.story import Story
+from app.report.traces import Grid, pack
+from config.schema import TissueLibrary
+from estimator.alarms import ForceAlarm
+from estimator.blocks import GraspRecord
+from estimator.decision import UNKNOWN
+from estimator.studies.page import INK
+
+RAW = "#8a96a0"
+AXES = {"verdict": 0.22, "force, N": 1.5, "displ., mm": 1.0, "probability": 1.0, "α, N": 0.8, "β, 1/m": 0.8,
+        "d, kg/s": 0.8}  # fmt: skip
+VERDICT, FORCE, DISPLACEMENT, PROBABILITY, ALPHA = 1, 2, 3, 4, 5  # rows of a course
+HEIGHT = 700
+BEYOND = 10.0  # times the library's parameters: where an axis ends, since filters that are wrong run far away
+LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "font": {"size": 12}}
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One line of a course: in which row, how it looks, and how it comes from a story's traces."""
+
+    name: str
+    row: int
+    take: Callable[[np.ndarray], np.ndarray]
+    line: dict[str, Any]
+    group: str | None = None  # of the legend
+    logarithmic: bool = False
+
+
+def channels(library: TissueLibrary, looks: dict[str, Look]) -> list[Channel]:
+    """Force, displacement, probabilities and the parameters of every filter."""
+
+    def column(name: str, scale: float = 1.0) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda traces: scale * traces[name]
+
+    def of_filter(name: str, k: int) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda traces: traces[name][:, k]
+
+    found = [
+        Channel("unfiltered", FORCE, column("jaw_force_n"), {"color": RAW, "width": 1}),
+        Channel("force", FORCE, column("jaw_force_filtered_n"), {"color": INK, "width": 1.8}),
+        Channel("injury threshold", FORCE, column("threshold_n"), {"color": INK, "width": 1.2, "dash": "dash"}),
+        Channel("jaws", DISPLACEMENT, column("jaw_displacement_filtered_m", 1e3), {"color": RAW, "width": 1}),
+        Channel("tissue", DISPLACEMENT, column("tissue_displacement_m", 1e3), {"color": INK, "width": 1.8}),
+    ]
+    for k, name in enumerate(library.tissues):
+        line = {"color": looks[name].colour, "width": 1.8}
+        found.append(Channel(name, PROBABILITY, of_filter("probability", k), line, name))
+        found += [
+            Channel(name, ALPHA + row, of_filter(parameter, k), line, name, logarithmic=True)
+            for row, parameter in enumerate(PARAMETERS.values())
+        ]
+    unknown = {"color": looks[UNKNOWN].colour, "width": 1.8, "dash": "dot"}
+    return [*found, Channel(UNKNOWN, PROBABILITY, column("probability_unknown"), unknown, UNKNOWN)]
+
+
+def course_template(library: TissueLibrary, looks: dict[str, Look], lines: list[Channel]) -> dict[str, Any]:
+    """The figure of a course without its data, as JSON; dotted lines are the library's own parameters."""
+    figure = make_subplots(len(AXES), 1, shared_xaxes=True, vertical_spacing=0.025, row_heights=[*AXES.values()])
+    for line in lines:
+        named = line.row <= PROBABILITY
+        title = looks[line.group].title if line.group else line.name
+        figure.add_scatter(
+            x=[], y=[], name=title, mode="lines", line=line.line, legendgroup=line.group, showlegend=named,
+            row=line.row, col=1,
+        )  # fmt: skip
+    for row, (title, _) in enumerate(AXES.items(), 1):
+        figure.update_yaxes(title={"text": title, "font": {"size": 12}}, row=row, col=1)
+    figure.update_yaxes(range=[0, 1], showticklabels=False, title="", fixedrange=True, row=VERDICT, col=1)
+    figure.update_yaxes(range=[-0.03, 1.03], row=PROBABILITY, col=1)
+    for row, parameter in enumerate(PARAMETERS.values(), ALPHA):
+        known = [getattr(profile, parameter) for profile in library.tissues.values()]
+        reach = [np.log10(min(known) / BEYOND), np.log10(max(known) * BEYOND)]
+        figure.update_yaxes(type="log", range=reach, dtick=1, exponentformat="power", row=row, col=1)
+        for name, profile in library.tissues.items():
+            line = {"color": looks[name].colour, "width": 1, "dash": "dot"}
+            figure.add_hline(y=getattr(profile, parameter), line=line, row=row, col=1)
+    figure.update_xaxes(tickfont={"size": 11})
+    figure.update_yaxes(tickfont={"size": 11})
+    figure.update_xaxes(title={"text": "time, s", "font": {"size": 12}}, row=len(AXES), col=1)
+    figure.update_layout(height=HEIGHT, hovermode="x", legend=LEGEND, uniformtext={"minsize": 9, "mode": "hide"})
+    return bare(figure)
+
+
+def course(
+    story: Story, traces: np.ndarray, lines: list[Channel], most_points: int, marks: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """A stretch of a story for the template: packed channels, and `marks`, which are traces of their own."""
+    grid = Grid.over(traces["tick"], most_points)
+    packed = []
+    for line in lines:
+        values = line.take(traces)
+        if line.logarithmic:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                values = np.log10(values)
+        packed.append(pack(grid.thin(traces["tick"], values)))
+    at_s = grid.at()
+    return {
+        "begin_s": float(at_s[0]) / story.rate_hz if len(at_s) else 0.0,
+        "step_s": grid.step / story.rate_hz,
+        "channels": packed,
+        "marks": marks,
+    }
+
+
+def verdict_bars(grasps: Iterable[GraspRecord], looks: dict[str, Look]) -> list[dict[str, Any]]:
+    """A bar for each grasp, with the colour and the letters of its verdict."""
+    bars = []
+    for name, look in looks.items():
+        own = [grasp for grasp in grasps if grasp.label == name]
+        if own:
+            bars.append({
+                "type": "bar", "name": look.title, "legendgroup": name, "showlegend": False,
+                "x": [round((grasp.start_s + grasp.end_s) / 2, 4) for grasp in own],
+                "width": [round(grasp.end_s - grasp.start_s, 4) for grasp in own],
+                "y": [1] * len(own), "marker": {"color": look.colour, "line": {"width": 0}},
+                "text": [look.mark] * len(own), "textposition": "inside", "insidetextanchor": "middle", "textangle": 0,
+                "insidetextfont": {"color": look.on, "size": 12},
+                "hovertext": [f"Grasp {grasp.index}: {look.title}" for grasp in own], "hoverinfo": "text",
+            })  # fmt: skip
+    return bars
+
+
+def alarm_marks(alarms: list[ForceAlarm], rate_hz: float) -> list[dict[str, Any]]:
+    """A triangle on the force where a warning began."""
+    told = [alarm for alarm in alarms if alarm.priority]
+    if not told:
+        return []
+    return [{
+        "type": "scatter", "mode": "markers", "name": "warning", "xaxis": "x2", "yaxis": "y2",
+        "x": [alarm.tick / rate_hz for alarm in told],
+        "y": [round(alarm.force_n, 3) for alarm in told],
+        "marker": {"symbol": "triangle-down", "size": 11, "color": [ALARMS[alarm.priority] for alarm in told],
+                   "line": {"color": INK, "width": 1}},
+        "hovertext": [f"{alarm.priority}: {alarm.force_n:.2f} N of {alarm.threshold_n:.2f} N" for alarm in told],
+        "hoverinfo": "text", "showlegend": False,
+    }]  # fmt: skip
+
+
+def box_plots(found: Statistics, library: TissueLibrary, looks: dict[str, Look]) -> dict[str, Any]:
+    """Fig. 8: alpha, beta and d of every grasp, by group; a diamond is the library's own value."""
+    figure = make_subplots(1, 3, subplot_titles=("α, N", "β, 1/m", "d, kg/s"), horizontal_spacing=0.08)
+    for k, parameter in enumerate(PARAMETERS.values()):
+        for name, logs in found.values.items():
+            figure.add_box(
+                y=np.exp(logs[:, k]), name=looks[name].title, marker_color=looks[name].colour, showlegend=False,
+                boxpoints="all" if len(logs) <= 60 else "outliers", jitter=0.4, marker_size=4, line_width=1.5,
+                row=1, col=k + 1,
+            )  # fmt: skip
+        known = [name for name in found.values if name in library.tissues]
+        figure.add_scatter(
+            x=[looks[name].title for name in known],
+            y=[getattr(library.tissues[name], parameter) for name in known],
+            mode="markers", marker={"symbol": "diamond-open", "size": 11, "color": INK, "line": {"width": 1.5}},
+            name="library", showlegend=k == 0 and bool(known), row=1, col=k + 1,
+        )  # fmt: skip
+    ticks = [digit * 10.0**power for power in range(-9, 9) for digit in (1, 3)]
+    figure.update_yaxes(type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
+    figure.update_layout(height=430, legend={**LEGEND, "y": 1.1})
+    return bare(figure)
+
+
+def bare(figure: go.Figure) -> dict[str, Any]:
+    """A figure as JSON, in the look of the report."""
+    figure.update_layout(template="plotly_white", margin={"l": 62, "r": 14, "t": 40, "b": 46}, autosize=True)
+    return json.loads(plotly.io.to_json(figure, validate=False))

@@ -1,0 +1,44 @@
+"""Grasps and stories for the report's tests."""
+
+from functools import lru_cache
+from typing import Any
+
+from simulation import simulate_raw
+
+from acquisition.pipeline import Pipeline
+from app.report.statistics import Observation, Told
+from app.report.story import Story, Storyteller
+from config.load import load_library, load_settings, load_tool
+from estimator.blocks import GraspRecord
+
+
+def record(**changes: Any) -> GraspRecord:
+    """A valid grasp of liver; `convergence_s` and `force_error_n` are of all its filters."""
+    each = {name: changes.pop(name, value) for name, value in (("convergence_s", 0.1), ("force_error_n", 0.0))}
+    told = {
+        "index": 1, "start_s": 0.5, "contact_s": 0.52, "end_s": 1.2, "label": "liver", "probability": 0.97,
+        "probabilities": {"liver": 0.97, "bladder": 0.02, "unknown": 0.01}, "time_to_decision_s": 0.1, "alpha_n": 0.85,
+        "beta_per_m": 1900.0, "damping_kg_per_s": 3.0, "peak_force_n": 1.5, "peak_displacement_m": 6e-4, "valid": True,
+        "why_invalid": None,
+    }  # fmt: skip
+    filters = {name: dict.fromkeys(("liver", "bladder"), value) for name, value in each.items()}
+    return GraspRecord(**told | filters | changes)
+
+
+def observed(
+    grasp: GraspRecord, *, truth: str | None = None, told: Told = Told.VERDICT, source: str = "a.lvm",
+    errors: tuple[float, float] | None = (-0.1, 0.1),
+) -> Observation:  # fmt: skip
+    return Observation(source, grasp, truth, told, dict.fromkeys(("liver", "bladder"), errors))
+
+
+@lru_cache
+def simulated_story(tissue: str, cycles: int = 3, protocol: str = "trapezoid_2hz", seed: int = 1) -> Story:
+    """A run of the simulated grasper as a story."""
+    tool, settings = load_tool("simulated"), load_settings()
+    blocks, pipeline = simulate_raw(tissue, protocol, seed, cycles), Pipeline(tool, settings.conditioning)
+    samples = sum(len(block) for block in blocks)
+    teller = Storyteller(tissue, tool, load_library("porcine"), settings, samples)
+    for block in blocks:
+        teller.take(pipeline.process(block))
+    return teller.end(tissue=tissue)
