@@ -3,17 +3,18 @@
 import json
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
 import rich.markup
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from app import __version__
+from app.learn.command import learn
+from app.learn.labels import LearnCommand
+from app.progress import ProgressBar
 from app.study import command as study
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
@@ -30,6 +31,7 @@ app = typer.Typer(
 )
 errors = Console(stderr=True, highlight=False)
 app.add_typer(study.app, name="study")
+app.command("learn", cls=LearnCommand)(learn)
 
 LibraryOption = Annotated[
     str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
@@ -76,6 +78,7 @@ def serve(
 
     settings = load_settings(config)
     chosen, library = load_tool(tool or settings.tool), load_library(settings.library)
+    library.check_tool(chosen)
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings. Use `graspwatch replay FILE --serve`.")
     if chosen.kind is not ToolKind.SIMULATED and (tissue or demo):
@@ -107,12 +110,13 @@ def run(
     settings = load_settings(config)
     profiles, wanted = load_library(library or settings.library), load_protocol(protocol)
     choose(tissue, list(holdable(profiles).tissues), "tissue")
+    profiles.check_tool(_simulated_tool(settings))
 
     from app.headless import run_protocol  # takes a second: not before the request is known to be sound
 
     count = cycles or wanted.cycles
     duration_s = wanted.lead_in_s + count * wanted.waveform.cycle_s
-    with _progress(f"{wanted.name} on {tissue}", duration_s) as progress:
+    with ProgressBar(f"{wanted.name} on {tissue}", duration_s, errors) as progress:
         report = run_protocol(
             _simulated_tool(settings), profiles, settings, wanted, tissue,
             cycles=count, seed=seed, real_time=real_time, progress=progress,
@@ -149,6 +153,7 @@ def replay(
 
     settings = load_settings(config)
     profiles, rig = load_library(library or settings.library), load_tool(tool)
+    profiles.check_tool(rig)
     for path in files:
         read_lvm(path, rig)
 
@@ -164,7 +169,7 @@ def replay(
         return
     documents = []
     for path in files:
-        with _progress(path.name, 1.0) as progress:
+        with ProgressBar(path.name, 1.0, errors) as progress:
             documents.append(replay_recording(path, rig, profiles, settings, speed=speed, progress=progress).document())
     _print_reports(documents, as_json)
 
@@ -210,28 +215,6 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
         )
     print(f"Dashboard: http://{shown}:{bound}/  (API: http://{shown}:{bound}/docs)  Ctrl+C ends it.", flush=True)
     serve_plan(plan, listener)
-
-
-class _progress:
-    """A progress bar on the error output where that is a terminal; calls take what is done."""
-
-    def __init__(self, title: str, total: float) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
-        self._task = self._bar.add_task(title, total=total)
-        self._due_s = 0.0
-
-    def __enter__(self) -> "_progress":
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, done: float) -> None:
-        if not self._bar.disable and time.monotonic() >= self._due_s:
-            self._due_s = time.monotonic() + 0.1
-            self._bar.update(self._task, completed=done)
 
 
 def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
