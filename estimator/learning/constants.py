@@ -10,9 +10,10 @@ GAPS_DEG = (40.0, 20.0, 10.0, 5.0)  # of travel left before the jaws are shut, a
 SHUT_SHARES = (0.45, 0.75)  # of the usual peak force: between them the travel stands for shut jaws
 KNEE_SHARE = 0.3  # of the usual peak force: here soft tissue has given way and stiff tissue has not
 LEAN_SHARES = (0.45, 0.82)  # of the usual peak force: what still yields between them beyond the cable's stretch
-STALLED_SAMPLES = 60  # without a higher force: the drive has stalled, and the loading is over
+STALLED_SAMPLES = 30  # without a higher force: the drive has stalled, and the loading is over
 LOADING_LIMIT_SAMPLES = 60_000  # a minute; a grasp that loads for longer tells nothing more
 RISEN_SHARE = 0.1  # of the usual peak force over the lowest: the jaws meet something, and the lowest is rest
+RAMP_STEP_LOG = 0.1  # ramps are told apart no finer
 RAMP_SHARE = 0.9  # of the command's maximum so far, by which the ramp's rate is measured
 
 FEATURES = ("opening", *(f"force_{gap:g}deg" for gap in GAPS_DEG), "knee", "lean", "stall")
@@ -23,13 +24,13 @@ FORCE_FLOOR_SHARE = 0.02  # of the usual peak force, added before the logarithm:
 # --- between recordings -----------------------------------------------------------------------------------------------
 # By how much a whole recording differs from another of the same tissue and ramp. Few recordings cannot tell a matrix;
 # its shape is stated, its scale is learned where a tissue has several recordings at one ramp.
-BETWEEN_SD = np.array([1.0, 0.2, 0.2, 0.2, 0.2, 0.35, 0.35, 0.024])  # 12 deg, 20 % of force, about 0.7 deg, 2.4 %
+BETWEEN_SD = np.array([1.5, 0.2, 0.2, 0.2, 0.2, 0.35, 0.35, 0.024])  # 18 deg, 20 % of force, about 0.7 deg, 2.4 %
 BETWEEN_CORRELATION = 0.6  # of neighbouring features: a session shifts the curve as a whole
 BETWEEN_RANGE = 2.0  # features over which that falls to 1/e
-SESSION_SCALE = 0.7  # times BETWEEN_SD: specimen, grip and rig from recording to recording
+SESSION_SCALE = 0.5  # times BETWEEN_SD: specimen, grip and rig from recording to recording
 SESSION_SCALE_WEIGHT = 4.0  # recordings that this prior is worth
-RATE_SCALE = 4.0  # times BETWEEN_SD: what another ramp changes for all tissues alike (friction, drive)
-RATE_TISSUE_SCALE = 2.0  # times BETWEEN_SD: what it changes for one tissue
+RATE_SCALE = 3.0  # times BETWEEN_SD: what another ramp changes for all tissues alike (friction, drive)
+RATE_TISSUE_SCALE = 0.7  # times BETWEEN_SD: what it changes for one tissue
 TISSUE_SCALE = 20.0  # times BETWEEN_SD: how far apart tissues may lie
 RATE_LENGTH_LOG = 1.0  # ramps that differ by a factor e are still alike
 
@@ -40,11 +41,11 @@ POOLED_WEIGHT = 15.0  # grasps that the scatter of all tissues together is worth
 SHAPE_WEIGHT = 5.0  # grasps by which correlations are shrunk
 
 # --- the answer -------------------------------------------------------------------------------------------------------
-FREEDOM = 8.0  # of Student's t: a grasp as far out as never seen before may not be sure of its neighbour
-UNKNOWN_SCALE = 4.0  # things outside the library scatter by so many spreads of the tissues about their mean
+FREEDOM = 5.0  # of Student's t: a grasp as far out as never seen before may not be sure of its neighbour
+UNKNOWN_SCALE = 2.0  # things outside the library scatter by so many spreads of the tissues about their mean
 UNKNOWN_FREEDOM = 3.0
-REMEMBERED_SD_DEG = 4.0  # how well the grasp before tells where the jaws are shut
-FIRST_WIDENING = 2.0  # times the variance within a recording: the first grasp on tissue that is not preconditioned
+REMEMBERED_SD_DEG = 6.0  # how well the grasp before tells where the jaws are shut: it may have held another tissue
+FIRST_WIDENING = 6.0  # times the variance within a recording: the first grasp on tissue that is not preconditioned
 
 # --- parameters of the filters ----------------------------------------------------------------------------------------
 PARAMETER_FLOOR_LOG_SD = 0.05  # no tissue is exactly Eq. (7)

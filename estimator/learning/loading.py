@@ -21,6 +21,7 @@ from estimator.learning.constants import (
     LOADING_LIMIT_SAMPLES,
     OPENING_UNIT_DEG,
     RAMP_SHARE,
+    RAMP_STEP_LOG,
     REMEMBERED_SD_DEG,
     RISEN_SHARE,
     SHUT_SHARES,
@@ -70,9 +71,8 @@ class Loading:
         self._dt_s = dt_s
         self._last_v: deque[float] = deque(maxlen=SMOOTH_SAMPLES)
         self._last_deg: deque[float] = deque(maxlen=SMOOTH_SAMPLES)
-        self._volt: list[float] = []  # smoothed
-        self._travel: list[float] = []  # smoothed, corrected for the cable, degrees of the encoder as read
-        self._command: list[float] = []
+        self._table = np.empty((3, 1024))  # smoothed strain, V; smoothed travel without the cable's, deg; command, V
+        self._n = 0
         self._rest_v = np.inf
         self._risen = False
         self._top, self._top_v = 0, -np.inf
@@ -91,40 +91,45 @@ class Loading:
         self._last_v.append(strain_v)
         self._last_deg.append(encoder_deg)
         volt = sum(self._last_v) / len(self._last_v)
-        self._volt.append(volt)
-        self._travel.append(sum(self._last_deg) / len(self._last_deg) - self._stretch * volt)
-        self._command.append(command_v)
+        if self._n == self._table.shape[1]:
+            self._table = np.concatenate([self._table, np.empty_like(self._table)], axis=1)
+        at, self._n = self._n, self._n + 1
+        self._table[:, at] = volt, sum(self._last_deg) / len(self._last_deg) - self._stretch * volt, command_v
         if not self._risen and volt < self._rest_v:
             self._rest_v = self._top_v = volt
-            self._top = len(self._volt) - 1
+            self._top = at
         if volt > self._top_v:
-            self._top_v, self._top = volt, len(self._volt) - 1
+            self._top_v, self._top = volt, at
         rise_v = self._top_v - self._rest_v
         self._risen = self._risen or rise_v > RISEN_SHARE * self._peak_v
-        stalled = rise_v > SHUT_SHARES[0] * self._peak_v and len(self._volt) - 1 - self._top >= STALLED_SAMPLES
-        self.over = stalled or len(self._volt) >= LOADING_LIMIT_SAMPLES
+        stalled = rise_v > SHUT_SHARES[0] * self._peak_v and at - self._top >= STALLED_SAMPLES
+        self.over = stalled or self._n >= LOADING_LIMIT_SAMPLES
 
     @property
     def peak_v(self) -> float:
         """Highest smoothed strain voltage so far over its lowest, V."""
-        return self._top_v - self._rest_v if self._volt else 0.0
+        return self._top_v - self._rest_v if self._n else 0.0
 
     @property
     def shut_deg(self) -> float | None:
         """Corrected encoder angle where the jaws were shut in this grasp; None where they were not, or not yet."""
         low_v, high_v = (self._rest_v + share * self._peak_v for share in SHUT_SHARES)
-        if not self._volt or self._top_v < high_v:
+        if not self._n or self._top_v < high_v:
             return None
-        volt = np.array(self._volt[: self._top + 1])
+        volt, travel, _ = self._table[:, : self._top + 1]
         first = int(np.argmax(volt >= high_v))
-        travel = np.array(self._travel[:first])
-        return float(np.median(travel[volt[:first] >= low_v])) if np.any(volt[:first] >= low_v) else None
+        between = travel[:first][volt[:first] >= low_v]
+        return float(np.median(between)) if len(between) else None
 
     def seen(self) -> Seen:
         """What is known by now."""
+        if not self._risen:
+            return Seen(np.full(len(FEATURES), np.nan), np.zeros(len(FEATURES)), self.ramp_log)
         shut_deg, of_shut = self.shut_deg, np.zeros(len(FEATURES))
         at_deg = self._before_deg if shut_deg is None else shut_deg
         features = self._features(at_deg)
+        if shut_deg is None:
+            features[OPENING] = np.nan  # until then it would tell what the grasp before has held
         if shut_deg is None and at_deg is not None:
             later, sooner = (self._features(at_deg + sign * REMEMBERED_SD_DEG) for sign in (1.0, -1.0))
             of_shut = 0.5 * (later - sooner)
@@ -135,20 +140,19 @@ class Loading:
     @property
     def ramp_log(self) -> float:
         """ln of the command's rise in V/s up to RAMP_SHARE of its maximum so far; 0 where it has not moved."""
-        command = np.array(self._command)
+        command = self._table[2, : self._n]
         most = float(command.max(initial=0.0))
         after = int(np.argmax(command >= RAMP_SHARE * most))
         if most <= 0.0 or after == 0:
             return 0.0
-        return math.log(float(command[after]) / (after * self._dt_s))
+        ramp_log = math.log(float(command[after]) / (after * self._dt_s))
+        return RAMP_STEP_LOG * round(ramp_log / RAMP_STEP_LOG)
 
     def _features(self, shut_deg: float | None) -> np.ndarray:
         """FEATURES as far as passed, were the jaws shut at `shut_deg`; NaN otherwise."""
         result = np.full(len(FEATURES), np.nan)
-        force = (np.array(self._volt[: self._top + 1]) - self._rest_v) / self._peak_v
-        if not self._risen:
-            return result
-        travel = np.array(self._travel[: self._top + 1])
+        volt, travel, _ = self._table[:, : self._top + 1]
+        force = (volt - self._rest_v) / self._peak_v
         lean = [_first(force >= share) for share in LEAN_SHARES]
         if lean[1] is not None and lean[0] is not None:
             result[LEAN] = _travel_unit(travel[lean[1]] - travel[lean[0]])
@@ -157,7 +161,7 @@ class Loading:
         if shut_deg is None:
             return result
         if not self._first:
-            result[OPENING] = (shut_deg - self._travel[0]) / OPENING_UNIT_DEG
+            result[OPENING] = (shut_deg - travel[0]) / OPENING_UNIT_DEG
         for i, gap_deg in enumerate(GAPS_DEG):
             at = _first(travel >= shut_deg - gap_deg)
             if at is not None:
