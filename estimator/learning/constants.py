@@ -6,17 +6,18 @@ import numpy as np
 # Handle force and cable-corrected travel, not the jaws' force and displacement: Eqs. (2) and (6) need the jaws'
 # absolute angle, and jaws that have not opened fully after the grasp before start from an unknown one.
 SMOOTH_SAMPLES = 8  # mean of the last samples: 1 to 5 mV of strain noise become 0.1 deg of corrected travel
-GAPS_DEG = (40.0, 20.0, 10.0, 5.0)  # of travel left before the jaws are shut, at which the force is read
+GAPS_DEG = (40.0, 10.0, 5.0)  # of travel left before the jaws are shut, at which the force is read
 SHUT_SHARES = (0.45, 0.75)  # of the usual peak force: between them the travel stands for shut jaws
 KNEE_SHARE = 0.3  # of the usual peak force: here soft tissue has given way and stiff tissue has not
 LEAN_SHARES = (0.45, 0.82)  # of the usual peak force: what still yields between them beyond the cable's stretch
+YIELD_SHARES = (0.2, 0.5)  # of the usual peak force: how long the drive takes between them
 STALLED_SAMPLES = 30  # without a higher force: the drive has stalled, and the loading is over
 LOADING_LIMIT_SAMPLES = 60_000  # a minute; a grasp that loads for longer tells nothing more
 RISEN_SHARE = 0.1  # of the usual peak force over the lowest: the jaws meet something, and the lowest is rest
 RAMP_STEP_LOG = 0.1  # ramps are told apart no finer
 RAMP_SHARE = 0.9  # of the command's maximum so far, by which the ramp's rate is measured
 
-FEATURES = ("opening", *(f"force_{gap:g}deg" for gap in GAPS_DEG), "knee", "lean", "stall")
+FEATURES = ("opening", *(f"force_{gap:g}deg" for gap in GAPS_DEG), "knee", "lean", "stall", "yield")
 OPENING_UNIT_DEG = 12.0
 TRAVEL_UNIT_DEG = 2.0  # below it a travel counts as it is, above it by its logarithm (arcsinh)
 FORCE_FLOOR_SHARE = 0.02  # of the usual peak force, added before the logarithm: noise of a force near zero is no news
@@ -24,7 +25,7 @@ FORCE_FLOOR_SHARE = 0.02  # of the usual peak force, added before the logarithm:
 # --- between recordings -----------------------------------------------------------------------------------------------
 # By how much a whole recording differs from another of the same tissue and ramp. Few recordings cannot tell a matrix;
 # its shape is stated, its scale is learned where a tissue has several recordings at one ramp.
-BETWEEN_SD = np.array([1.5, 0.2, 0.2, 0.2, 0.2, 0.35, 0.35, 0.024])  # 18 deg, 20 % of force, about 0.7 deg, 2.4 %
+BETWEEN_SD = np.array([1.5, 0.2, 0.2, 0.2, 0.35, 0.35, 0.024, 0.12])  # 18 deg, 20 % of force, 0.7 deg, 2.4 %, 12 %
 BETWEEN_CORRELATION = 0.6  # of neighbouring features: a session shifts the curve as a whole
 BETWEEN_RANGE = 2.0  # features over which that falls to 1/e
 SESSION_SCALE = 0.5  # times BETWEEN_SD: specimen, grip and rig from recording to recording

@@ -28,9 +28,11 @@ from estimator.learning.constants import (
     SMOOTH_SAMPLES,
     STALLED_SAMPLES,
     TRAVEL_UNIT_DEG,
+    YIELD_SHARES,
 )
 
-OPENING, FORCES, KNEE, LEAN, STALL = 0, slice(1, 1 + len(GAPS_DEG)), len(GAPS_DEG) + 1, len(GAPS_DEG) + 2, -1
+OPENING, FORCES = 0, slice(1, 1 + len(GAPS_DEG))
+KNEE, LEAN, STALL, YIELD = range(1 + len(GAPS_DEG), len(FEATURES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +158,9 @@ class Loading:
         lean = [_first(force >= share) for share in LEAN_SHARES]
         if lean[1] is not None and lean[0] is not None:
             result[LEAN] = _travel_unit(travel[lean[1]] - travel[lean[0]])
+        begin, end = (_first(force >= share) for share in YIELD_SHARES)
+        if begin is not None and end is not None:
+            result[YIELD] = math.log((end - begin + 1) * self._dt_s)
         if self.over:
             result[STALL] = math.log(force[-1])
         if shut_deg is None:
