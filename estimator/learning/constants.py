@@ -13,7 +13,7 @@ LEAN_SHARES = (0.45, 0.82)  # of the usual peak force: what still yields between
 YIELD_SHARES = (0.2, 0.5)  # of the usual peak force: how long the drive takes between them
 STALLED_SAMPLES = 30  # without a higher force: the drive has stalled, and the loading is over
 LOADING_LIMIT_SAMPLES = 60_000  # a minute; a grasp that loads for longer tells nothing more
-RISEN_SHARE = 0.1  # of the usual peak force over the lowest: the jaws meet something, and the lowest is rest
+RISEN_SHARE = 0.05  # of the usual peak force over the lowest: the jaws meet something, and the lowest is rest
 RAMP_STEP_LOG = 0.1  # ramps are told apart no finer
 RAMP_SHARE = 0.9  # of the command's maximum so far, by which the ramp's rate is measured
 
@@ -46,7 +46,7 @@ FREEDOM = 5.0  # of Student's t: a grasp as far out as never seen before may not
 UNKNOWN_SCALE = 2.0  # things outside the library scatter by so many spreads of the tissues about their mean
 UNKNOWN_FREEDOM = 3.0
 REMEMBERED_SD_DEG = 6.0  # how well the grasp before tells where the jaws are shut: it may have held another tissue
-FIRST_WIDENING = 6.0  # times the variance within a recording: the first grasp on tissue that is not preconditioned
+FIRST_SCALE = 1.0  # times BETWEEN_SD: how far a first grasp, on tissue that is not preconditioned, is from later ones
 
 # --- parameters of the filters ----------------------------------------------------------------------------------------
 PARAMETER_FLOOR_LOG_SD = 0.05  # no tissue is exactly Eq. (7)

@@ -7,7 +7,7 @@ import numpy as np
 from config.schema import Identification, TissueLibrary, Tool
 from estimator.learning.between import Recorded, between_covariance
 from estimator.learning.constants import (
-    FIRST_WIDENING,
+    FIRST_SCALE,
     FREEDOM,
     UNKNOWN_FREEDOM,
     UNKNOWN_SCALE,
@@ -42,19 +42,20 @@ class LearnedEvidence:
     def begin(self, shut_before_deg: float | None, *, first: bool) -> "LearnedGrasp":
         """Follow a grasp from its start."""
         loading = Loading(self._stretch, self._peak_v, self._dt_s, shut_before_deg, first=first)
-        return LearnedGrasp(self, loading, FIRST_WIDENING if first else 1.0)
+        return LearnedGrasp(self, loading, first=first)
 
     @property
     def prior(self) -> np.ndarray:
         """Probabilities before any data, (M + 1,)."""
         return np.exp(self._log_prior)
 
-    def expected(self, ramp_log: float, widening: float) -> list[Gaussian]:
+    def expected(self, ramp_log: float, *, first: bool) -> list[Gaussian]:
         """Of each tissue, and of unknown, what a grasp at a ramp is likely to give."""
         tissues = []
         for i, within in enumerate(self._within):
             centre, variance = self._recorded.predict(i, ramp_log)
-            tissues.append((centre, widening * within + variance * self._between))
+            variance += FIRST_SCALE**2 if first else 0.0
+            tissues.append((centre, within + variance * self._between))
         centres = np.array([centre for centre, _ in tissues])
         middle = centres.mean(axis=0)
         apart = (centres - middle).T @ (centres - middle) / max(len(centres) - 1, 1)
@@ -78,8 +79,8 @@ class LearnedEvidence:
 class LearnedGrasp:
     """One grasp under way: its loading curve, and what that makes likely."""
 
-    def __init__(self, evidence: LearnedEvidence, loading: Loading, widening: float) -> None:
-        self._evidence, self.loading, self._widening = evidence, loading, widening
+    def __init__(self, evidence: LearnedEvidence, loading: Loading, *, first: bool) -> None:
+        self._evidence, self.loading, self._first = evidence, loading, first
         self._expected: list[Gaussian] = []
         self._expected_at = math.nan
         self._told: np.ndarray | None = None
@@ -91,7 +92,7 @@ class LearnedGrasp:
         self.loading.take(samples)
         seen = self.loading.seen()
         if seen.ramp_log != self._expected_at:
-            self._expected, self._expected_at = self._evidence.expected(seen.ramp_log, self._widening), seen.ramp_log
+            self._expected, self._expected_at = self._evidence.expected(seen.ramp_log, first=self._first), seen.ramp_log
         self._told = self._evidence.weigh(seen, self._expected)
         return self._told
 

@@ -83,11 +83,11 @@ class Loading:
     def take(self, samples: np.ndarray) -> None:
         """Take samples of dtype SAMPLE. Samples without a reading are left out."""
         columns = (samples[name].tolist() for name in ("strain_v", "encoder_deg", "motor_command_v"))
-        for strain_v, encoder_deg, command_v in zip(*columns, strict=True):
+        for values in zip(*columns, strict=True):
             if self.over:
                 return
-            if math.isfinite(strain_v) and math.isfinite(encoder_deg):
-                self._append(strain_v, encoder_deg, command_v)
+            if all(map(math.isfinite, values)):
+                self._append(*values)
 
     def _append(self, strain_v: float, encoder_deg: float, command_v: float) -> None:
         self._last_v.append(strain_v)
@@ -144,8 +144,8 @@ class Loading:
         """ln of the command's rise in V/s up to RAMP_SHARE of its maximum so far; 0 where it has not moved."""
         command = self._table[2, : self._n]
         most = float(command.max(initial=0.0))
-        after = int(np.argmax(command >= RAMP_SHARE * most))
-        if most <= 0.0 or after == 0:
+        after = int(np.argmax(command >= RAMP_SHARE * most)) if most > 0.0 else 0
+        if after == 0:
             return 0.0
         ramp_log = math.log(float(command[after]) / (after * self._dt_s))
         return RAMP_STEP_LOG * round(ramp_log / RAMP_STEP_LOG)

@@ -93,7 +93,7 @@ def validate(
             continue  # too little is left
         asker = _Asker(library, tool, settings)
         for recording, truth, positions in fold.asked:
-            answers += asker.ask(fold.question, recording, truth, positions)
+            answers += asker.ask(fold.question, recording, truth if truth in library.tissues else UNKNOWN, positions)
     return answers
 
 
