@@ -7,6 +7,7 @@ import numpy as np
 # absolute angle, and jaws that have not opened fully after the grasp before start from an unknown one.
 SMOOTH_SAMPLES = 8  # mean of the last samples: 1 to 5 mV of strain noise become 0.1 deg of corrected travel
 GAPS_DEG = (40.0, 10.0, 5.0)  # of travel left before the jaws are shut, at which the force is read
+WEAKEST_SHARE = 0.6  # of most recordings' peak: a weaker one does not set the levels of force for all
 SHUT_SHARES = (0.45, 0.75)  # of the usual peak force: between them the travel stands for shut jaws
 KNEE_SHARE = 0.3  # of the usual peak force: here soft tissue has given way and stiff tissue has not
 LEAN_SHARES = (0.45, 0.82)  # of the usual peak force: what still yields between them beyond the cable's stretch

@@ -7,7 +7,7 @@ import numpy as np
 
 from acquisition.blocks import Flag
 from config.schema import Tool
-from estimator.learning.constants import FEATURES, SMOOTH_SAMPLES
+from estimator.learning.constants import FEATURES, SMOOTH_SAMPLES, WEAKEST_SHARE
 from estimator.learning.loading import Loading
 
 ENCODER_SLIPS, SATURATED = Flag.ENCODER_SLIPS.value, Flag.SATURATED.value
@@ -65,9 +65,12 @@ class Curves:
 
 
 def usual_peak_v(recordings: list[Recorded]) -> float:
-    """Median over recordings of their grasps' median peak, V, to a millivolt; NaN where no grasp is sound."""
+    """Peak that grasps of all recordings reach, V, to a millivolt; NaN where no grasp is sound.
+
+    The lowest of the recordings' medians, unless a recording is much weaker than most.
+    """
     peaks = [np.median(sound) for each in recordings if (sound := [g.peak_v for g in each.grasps if not g.fault()])]
-    return round(float(np.median(peaks)), 3) if peaks else math.nan
+    return round(float(max(min(peaks), WEAKEST_SHARE * np.median(peaks))), 3) if peaks else math.nan
 
 
 def curves_of(recording: Recorded, tool: Tool, peak_v: float) -> Curves:
