@@ -29,7 +29,7 @@ FORCE_FLOOR_SHARE = 0.02  # of the usual peak force, added before the logarithm:
 BETWEEN_SD = np.array([1.5, 0.2, 0.2, 0.2, 0.35, 0.35, 0.024, 0.12])  # 18 deg, 20 % of force, 0.7 deg, 2.4 %, 12 %
 BETWEEN_CORRELATION = 0.6  # of neighbouring features: a session shifts the curve as a whole
 BETWEEN_RANGE = 2.0  # features over which that falls to 1/e
-SESSION_SCALE = 0.5  # times BETWEEN_SD: specimen, grip and rig from recording to recording
+SESSION_SCALE = 0.6  # times BETWEEN_SD: specimen, grip and rig from recording to recording
 SESSION_SCALE_WEIGHT = 4.0  # recordings that this prior is worth
 RATE_SCALE = 3.0  # times BETWEEN_SD: what another ramp changes for all tissues alike (friction, drive)
 RATE_TISSUE_SCALE = 0.7  # times BETWEEN_SD: what it changes for one tissue
@@ -43,8 +43,8 @@ POOLED_WEIGHT = 15.0  # grasps that the scatter of all tissues together is worth
 SHAPE_WEIGHT = 5.0  # grasps by which correlations are shrunk
 
 # --- the answer -------------------------------------------------------------------------------------------------------
-FREEDOM = 5.0  # of Student's t: a grasp as far out as never seen before may not be sure of its neighbour
-UNKNOWN_SCALE = 2.0  # things outside the library scatter by so many spreads of the tissues about their mean
+FREEDOM = 8.0  # of Student's t: a grasp as far out as never seen before may not be sure of its neighbour
+UNKNOWN_SCALE = 2.5  # things outside the library scatter by so many spreads of the tissues about their mean
 UNKNOWN_FREEDOM = 3.0
 REMEMBERED_SD_DEG = 6.0  # how well the grasp before tells where the jaws are shut: it may have held another tissue
 FIRST_SCALE = 1.0  # times BETWEEN_SD: how far a first grasp, on tissue that is not preconditioned, is from later ones
