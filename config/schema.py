@@ -316,8 +316,8 @@ class TissueLibrary(Model):
         if self.learned and self.learned.calibration != tool.calibration_fingerprint:
             raise ConfigurationError(
                 f"The library {self.name!r} was learned with the tool {self.learned.tool!r} as it was calibrated then "
-                f"({self.learned.calibration}); {tool.name!r} is calibrated otherwise ({tool.calibration_fingerprint}), "
-                "and in its units the same tissue gives other numbers. Name that tool with --tool, or learn a library from "
+                f"({self.learned.calibration}); {tool.name!r} is calibrated otherwise ({tool.calibration_fingerprint}) "
+                "and gives other numbers of the same tissue. Name that tool with --tool, or learn a library from "
                 "recordings of this one."
             )
 

@@ -30,7 +30,7 @@ LENIENT_DYNAMIC_SHARE = 0.3  # damping may grow with the force (Hunt-Crossley), 
 LENIENT_DRIFT_RATE = 0.03  # of the force squared, a second: the tissue leaves its curve by 5 % in 0.1 s (it relaxes,
 DRIFT_FLOOR_N = 0.05  # the body moves it, it slides), and by as much of this where there is hardly a force
 
-# Of real tissue with a learned library: no pair of alpha and beta is right over a whole loading, and cable and drive rub.
+# Of real tissue with a learned library: no alpha and beta are right over a whole loading, and cable and drive rub.
 # With these, filters follow 98 of the 100 sound grasps recorded in 2013; with those above, 26 (decision 15).
 REAL_FORCE_SD_N = 0.3  # a hundredth of the peak that these recordings' calibration gives
 REAL_DISPLACEMENT_SD_M = 50e-6

@@ -83,7 +83,8 @@ def _check_rest(recording: Recorded, path: Path, tool: Tool) -> None:
         raise RecordingError(
             f"{path}: its strain gage rests at {calibration.rest_offset_v + off_v:.2f} V, that of {tool.name!r} at "
             f"{calibration.rest_offset_v:.2f} V: it was recorded with another tool or calibration. A library is "
-            "learned from recordings of one tool: leave this one out, or name its tool file with --tool and learn it apart."
+            "learned from recordings of one tool: leave this one out, or name its tool file with --tool and learn it "
+            "apart."
         )
 
 

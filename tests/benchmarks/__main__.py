@@ -15,7 +15,7 @@ from rich.table import Table
 
 sys.path.insert(1, str(Path(__file__).parents[1]))  # the tests' own helpers
 
-from benchmarks import bank, headless, live, page
+from benchmarks import bank, headless, learning, live, page
 
 
 def main() -> None:
@@ -28,6 +28,7 @@ def main() -> None:
     parts = {
         "filter bank": bank.measure,
         "headless": headless.measure,
+        "learning": learning.measure,
         "start": live.measure_start,
         f"live, {wanted.viewers} viewers, {wanted.live_seconds:.0f} s": lambda: live.measure(
             wanted.live_seconds, wanted.viewers

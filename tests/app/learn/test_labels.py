@@ -1,5 +1,6 @@
 """What `--label` understands."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from config.errors import ConfigurationError
 def test_files_follow_their_label_in_every_natural_way(typed):
     spread = spread_labels(typed)
     labels = [arg.removeprefix("--label=") for arg in spread if arg.startswith("--label=")]
-    labels += [after for before, after in zip(spread, spread[1:], strict=False) if before == "--label"]
+    labels += [after for before, after in pairwise(spread) if before == "--label"]
     found = labelled_files(sorted(labels))
     assert found == {"bladder": [Path("c")], "liver": [Path("a"), Path("b")]}
 

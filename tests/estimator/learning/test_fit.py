@@ -22,7 +22,8 @@ def recording(label, stiffness, seed=0, grasps=9, gap_deg=120.0):
     rng = np.random.default_rng(seed)
     made = tuple(
         RecordedGrasp(
-            i + 1, pressed(stiffness * np.exp(rng.normal(0, 0.1)), gap_deg=gap_deg + rng.normal(0, 4), seed=100 * seed + i),
+            i + 1,
+            pressed(stiffness * np.exp(rng.normal(0, 0.1)), gap_deg=gap_deg + rng.normal(0, 4), seed=100 * seed + i),
             PARAMETERS + rng.normal(0, 0.2, 3), None,
         )
         for i in range(grasps)
