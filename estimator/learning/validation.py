@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from config.errors import ConfigurationError
 from config.schema import Identification, TissueLibrary, Tool
 from estimator.decision import UNDECIDED, UNKNOWN, Decision
 from estimator.learning.evidence import LearnedEvidence, LearnedGrasp
@@ -89,7 +90,7 @@ def validate(
         learnable = [each for each in fold.learned if len(each.grasps) > 1]
         try:
             library = learn(learnable)
-        except ValueError:
+        except (ValueError, ConfigurationError):
             continue  # too little is left
         asker = _Asker(library, tool, settings)
         for recording, truth, positions in fold.asked:
