@@ -247,6 +247,9 @@ def _check_covariance(name: str, rows: tuple[tuple[float, ...], ...], size: int)
         )
 
 
+LOADING_FEATURES = ("opening", "force_40deg", "force_10deg", "force_5deg", "knee", "lean", "stall", "yield")
+
+
 class Learned(Model):
     """Where a library was learned, and what all of its tissues share."""
 
@@ -257,6 +260,14 @@ class Learned(Model):
     features: tuple[str, ...] = Field(min_length=1)
     usual_peak_v: Positive  # of the strain gage over rest; shares of force refer to it
     session_scale: Positive  # from recording to recording of one tissue, in stated units; see docs/learning.md
+
+    @model_validator(mode="after")
+    def _are_the_features(self) -> Self:
+        if self.features != LOADING_FEATURES:
+            raise ValueError(
+                f"features are not {', '.join(LOADING_FEATURES)}: another version learned this library; learn it anew"
+            )
+        return self
 
 
 class TissueProfile(Model):

@@ -60,7 +60,7 @@ def learn(
 
     files, settings = labelled_files(label), load_settings(config)
     rig, like = load_tool(tool), load_library(base)
-    page, data = out.with_suffix(".html"), out.with_suffix(".json")
+    page, data = (out.with_name(f"{out.stem}-report.{kind}") for kind in ("html", "json"))
     check_writable(out)
 
     from app.learn.gather import gather  # takes a second: not before the request is known to be sound

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from config.schema import LOADING_FEATURES
+
 # --- the loading curve ------------------------------------------------------------------------------------------------
 # Handle force and cable-corrected travel, not the jaws' force and displacement: Eqs. (2) and (6) need the jaws'
 # absolute angle, and jaws that have not opened fully after the grasp before start from an unknown one.
@@ -18,7 +20,7 @@ RISEN_SHARE = 0.05  # of the usual peak force over the lowest: the jaws meet som
 RAMP_STEP_LOG = 0.1  # ramps are told apart no finer
 RAMP_SHARE = 0.9  # of the command's maximum so far, by which the ramp's rate is measured
 
-FEATURES = ("opening", *(f"force_{gap:g}deg" for gap in GAPS_DEG), "knee", "lean", "stall", "yield")
+FEATURES = LOADING_FEATURES  # one force for each of GAPS_DEG
 OPENING_UNIT_DEG = 12.0
 TRAVEL_UNIT_DEG = 2.0  # below it a travel counts as it is, above it by its logarithm (arcsinh)
 FORCE_FLOOR_SHARE = 0.02  # of the usual peak force, added before the logarithm: noise of a force near zero is no news

@@ -75,12 +75,13 @@ def test_the_library_tells_what_it_was_learned_from(folder, learned):
 
 
 def test_a_report_lies_beside_it(folder, learned):
-    page = (folder / "library.html").read_text()
+    page = (folder / "library-report.html").read_text()
     assert "Confusion by name" in page
     assert "Reliability" in page
     assert 'src="http' not in page  # self-contained
     figures = {
-        figure["name"]: figure["value"] for figure in json.loads((folder / "library.json").read_text())["figures"]
+        figure["name"]: figure["value"]
+        for figure in json.loads((folder / "library-report.json").read_text())["figures"]
     }
     assert 0 <= figures["later grasps: right by the likeliest"] <= 100
 
@@ -100,7 +101,7 @@ def test_the_order_of_labels_and_files_does_not_matter(folder):
         learn(*arguments, *SIMULATED, "--out", folder / "either.toml")
         texts.append((folder / "either.toml").read_text())
     assert texts[0] == texts[1]
-    report = json.loads((folder / "either.json").read_text())
+    report = json.loads((folder / "either-report.json").read_text())
     assert any(figure["name"].startswith("another recording") for figure in report["figures"])
 
 
@@ -232,3 +233,10 @@ def test_a_singular_covariance_is_told_with_its_tissue(folder, learned, tmp_path
 def test_a_library_that_is_learned_in_part_is_told(folder, learned, tmp_path):
     assert "bladder" in edited(folder, tmp_path, lambda content: content["tissues"]["bladder"].pop("learned"))
     assert "[learned]" in edited(folder, tmp_path, lambda content: content.pop("learned"))
+
+
+def test_a_library_of_another_version_is_told(folder, learned, tmp_path):
+    def other(content):
+        content["learned"]["features"][0] = "something"
+
+    assert "learn it anew" in edited(folder, tmp_path, other)

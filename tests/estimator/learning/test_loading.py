@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from learned import pressed
 
-from estimator.learning.constants import FEATURES
+from estimator.learning.constants import BETWEEN_SD, FEATURES, GAPS_DEG
 from estimator.learning.loading import FORCES, KNEE, LEAN, OPENING, STALL, Loading
 
 STRETCH, PEAK_V, DT_S = 52.189, 2.5, 1e-3
@@ -80,3 +80,9 @@ def test_a_grasp_without_force_or_without_readings_tells_nothing():
     samples["strain_v"] = np.nan
     assert np.isnan(followed(samples).seen().features).all()
     assert followed(samples[:0]).seen().features.shape == (len(FEATURES),)
+
+
+def test_names_and_spreads_belong_to_the_features():
+    assert FEATURES[FORCES] == tuple(f"force_{gap:g}deg" for gap in GAPS_DEG)
+    assert (FEATURES[OPENING], FEATURES[KNEE], FEATURES[LEAN], FEATURES[STALL]) == ("opening", "knee", "lean", "stall")
+    assert len(BETWEEN_SD) == len(FEATURES)
