@@ -247,7 +247,7 @@ def _check_covariance(name: str, rows: tuple[tuple[float, ...], ...], size: int)
         )
 
 
-LOADING_FEATURES = ("opening", "force_40deg", "force_10deg", "force_5deg", "knee", "lean", "stall", "yield")
+LOADING_FEATURES = ("opening", "force_40deg", "force_5deg", "knee", "lean", "stall", "yield", "give")
 
 
 class Learned(Model):

@@ -8,11 +8,12 @@ from config.schema import LOADING_FEATURES
 # Handle force and cable-corrected travel, not the jaws' force and displacement: Eqs. (2) and (6) need the jaws'
 # absolute angle, and jaws that have not opened fully after the grasp before start from an unknown one.
 SMOOTH_SAMPLES = 8  # mean of the last samples: 1 to 5 mV of strain noise become 0.1 deg of corrected travel
-GAPS_DEG = (40.0, 10.0, 5.0)  # of travel left before the jaws are shut, at which the force is read
+GAPS_DEG = (40.0, 5.0)  # of travel left before the jaws are shut, at which the force is read
 WEAKEST_SHARE = 0.6  # of most recordings' peak: a weaker one does not set the levels of force for all
 SHUT_SHARES = (0.45, 0.75)  # of the usual peak force: between them the travel stands for shut jaws
 KNEE_SHARE = 0.3  # of the usual peak force: here soft tissue has given way and stiff tissue has not
 LEAN_SHARES = (0.45, 0.82)  # of the usual peak force: what still yields between them beyond the cable's stretch
+GIVE_SHARES = (0.2, 0.3)  # of the usual peak force: how far the jaws travel between them
 YIELD_SHARES = (0.2, 0.5)  # of the usual peak force: how long the drive takes between them
 STALLED_SAMPLES = 30  # without a higher force: the drive has stalled, and the loading is over
 LOADING_LIMIT_SAMPLES = 60_000  # a minute; a grasp that loads for longer tells nothing more
@@ -28,7 +29,8 @@ FORCE_FLOOR_SHARE = 0.02  # of the usual peak force, added before the logarithm:
 # --- between recordings -----------------------------------------------------------------------------------------------
 # By how much a whole recording differs from another of the same tissue and ramp. Few recordings cannot tell a matrix;
 # its shape is stated, its scale is learned where a tissue has several recordings at one ramp.
-BETWEEN_SD = np.array([1.5, 0.2, 0.2, 0.2, 0.35, 0.35, 0.024, 0.12])  # 18 deg, 20 % of force, 0.7 deg, 2.4 %, 12 %
+# 18 deg; 20 % of force, twice; about 0.7 deg, twice; 2.4 % of force; 12 % of time; 1 deg
+BETWEEN_SD = np.array([1.5, 0.2, 0.2, 0.35, 0.35, 0.024, 0.12, 0.5])
 BETWEEN_CORRELATION = 0.6  # of neighbouring features: a session shifts the curve as a whole
 BETWEEN_RANGE = 2.0  # features over which that falls to 1/e
 SESSION_SCALE = 0.6  # times BETWEEN_SD: specimen, grip and rig from recording to recording
@@ -48,7 +50,10 @@ SHAPE_WEIGHT = 5.0  # grasps by which correlations are shrunk
 FREEDOM = 8.0  # of Student's t: a grasp as far out as never seen before may not be sure of its neighbour
 UNKNOWN_SCALE = 2.5  # things outside the library scatter by so many spreads of the tissues about their mean
 UNKNOWN_FREEDOM = 3.0
-REMEMBERED_SD_DEG = 6.0  # how well the grasp before tells where the jaws are shut: it may have held another tissue
+REMEMBERED_STEP_DEG = 4.0  # of the place where the jaws are shut, by which its influence is found
+# How well the grasp before tells where the jaws will be shut: probability and SD, degrees. Mostly it held
+# the same tissue; another one may be thicker by 17 degrees.
+REMEMBERED = ((0.8, 2.5), (0.2, 12.0))
 FIRST_SCALE = 1.0  # times BETWEEN_SD: how far a first grasp, on tissue that is not preconditioned, is from later ones
 
 # --- parameters of the filters ----------------------------------------------------------------------------------------

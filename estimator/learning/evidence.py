@@ -9,6 +9,7 @@ from estimator.learning.between import Recorded, between_covariance
 from estimator.learning.constants import (
     FIRST_SCALE,
     FREEDOM,
+    REMEMBERED,
     UNKNOWN_FREEDOM,
     UNKNOWN_SCALE,
 )
@@ -67,11 +68,14 @@ class LearnedEvidence:
         told = np.flatnonzero(np.isfinite(seen.features))
         if not len(told):
             return self.prior
-        doubt = np.outer(seen.of_shut, seen.of_shut)[np.ix_(told, told)]
+        slope = seen.of_shut[told]
+        doubts = [(math.log(share), sd_deg**2 * np.outer(slope, slope)) for share, sd_deg in REMEMBERED]
+        doubts = doubts if slope.any() else [(0.0, 0.0)]
         log_weight = self._log_prior.copy()
         for i, (mean, cov) in enumerate(expected):
             freedom = UNKNOWN_FREEDOM if i == len(expected) - 1 else FREEDOM
-            log_weight[i] += log_student(seen.features[told] - mean[told], cov[np.ix_(told, told)] + doubt, freedom)
+            off, own = seen.features[told] - mean[told], cov[np.ix_(told, told)]
+            log_weight[i] += np.logaddexp.reduce([s + log_student(off, own + doubt, freedom) for s, doubt in doubts])
         weight = np.exp(log_weight - log_weight.max())
         return weight / weight.sum()
 

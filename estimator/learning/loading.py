@@ -16,13 +16,14 @@ from estimator.learning.constants import (
     FEATURES,
     FORCE_FLOOR_SHARE,
     GAPS_DEG,
+    GIVE_SHARES,
     KNEE_SHARE,
     LEAN_SHARES,
     LOADING_LIMIT_SAMPLES,
     OPENING_UNIT_DEG,
     RAMP_SHARE,
     RAMP_STEP_LOG,
-    REMEMBERED_SD_DEG,
+    REMEMBERED_STEP_DEG,
     RISEN_SHARE,
     SHUT_SHARES,
     SMOOTH_SAMPLES,
@@ -32,15 +33,15 @@ from estimator.learning.constants import (
 )
 
 OPENING, FORCES = 0, slice(1, 1 + len(GAPS_DEG))
-KNEE, LEAN, STALL, YIELD = range(1 + len(GAPS_DEG), len(FEATURES))
+KNEE, LEAN, STALL, YIELD, GIVE = range(1 + len(GAPS_DEG), len(FEATURES))
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
     """What a loading curve has told so far.
 
-    `features` (F,), NaN where not passed yet; `of_shut` (F,) by how much each changes with REMEMBERED_SD_DEG of the
-    place where the jaws are shut, 0 once that is known; `ramp_log` natural logarithm of the command's rate in V/s.
+    `features` (F,), NaN where not passed yet; `of_shut` (F,) by how much each changes with a degree of the place where
+    the jaws are shut, 0 once that is known; `ramp_log` natural logarithm of the command's rate in V/s.
     """
 
     features: np.ndarray
@@ -133,8 +134,8 @@ class Loading:
         if shut_deg is None:
             features[OPENING] = np.nan  # until then it would tell what the grasp before has held
         if shut_deg is None and at_deg is not None:
-            later, sooner = (self._features(at_deg + sign * REMEMBERED_SD_DEG) for sign in (1.0, -1.0))
-            of_shut = 0.5 * (later - sooner)
+            later, sooner = (self._features(at_deg + sign * REMEMBERED_STEP_DEG) for sign in (1.0, -1.0))
+            of_shut = (later - sooner) / (2 * REMEMBERED_STEP_DEG)
             features[np.isnan(of_shut)] = np.nan
             of_shut = np.nan_to_num(of_shut)
         return Seen(features, of_shut, self.ramp_log)
@@ -161,6 +162,9 @@ class Loading:
         begin, end = (_first(force >= share) for share in YIELD_SHARES)
         if begin is not None and end is not None:
             result[YIELD] = math.log((end - begin + 1) * self._dt_s)
+        begin, end = (_first(force >= share) for share in GIVE_SHARES)
+        if begin is not None and end is not None:
+            result[GIVE] = _travel_unit(travel[end] - travel[begin])
         if self.over:
             result[STALL] = math.log(force[-1])
         if shut_deg is None:

@@ -27,8 +27,8 @@ def test_it_measures_the_grasp_that_was_made():
     assert loading.shut_deg == pytest.approx(-580.0 + AT_REST_DEG, abs=0.5)
     assert seen.features[OPENING] == pytest.approx(10.0, abs=0.1)  # in units of 12 deg
     assert np.sinh(seen.features[LEAN]) * 2 == pytest.approx(0.0, abs=0.5)  # a wall gives no more than the cable
-    at_10_deg = 0.3 / PEAK_V
-    assert np.exp(seen.features[FORCES][1]) - 0.02 == pytest.approx(at_10_deg, rel=0.1)
+    at_5_deg = 0.3 * np.exp(5 / 15) / PEAK_V
+    assert np.exp(seen.features[FORCES][1]) - 0.02 == pytest.approx(at_5_deg, rel=0.1)
     assert np.exp(seen.features[STALL]) == pytest.approx(1.0, rel=0.02)
     assert np.exp(seen.ramp_log) == pytest.approx(10.0, rel=0.06)  # V/s, told in steps of 10 %
 
