@@ -12,6 +12,8 @@ from rich.table import Table
 
 from app import __version__
 from app.exchange import command as exchange
+from app.learn.command import learn
+from app.learn.labels import LearnCommand
 from app.options import (
     RECORDED_WITH,
     ConfigOption,
@@ -41,6 +43,7 @@ app = typer.Typer(
 app.add_typer(study.app, name="study")
 for command in (*exchange.COMMANDS, report):
     app.command(command.__name__.strip("_").replace("_", "-"))(command)
+app.command("learn", cls=LearnCommand)(learn)
 
 
 @app.callback(invoke_without_command=True)
@@ -73,6 +76,7 @@ def serve(
 
     settings = load_settings(config)
     chosen, library = load_tool(tool or settings.tool), load_library(settings.library)
+    library.check_tool(chosen)
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings. Use `graspwatch replay FILE --serve`.")
     if chosen.kind is not ToolKind.SIMULATED and (tissue or demo):
@@ -107,6 +111,7 @@ def run(
     settings = load_settings(config)
     profiles, wanted = load_library(library or settings.library), load_protocol(protocol)
     choose(tissue, list(holdable(profiles).tissues), "tissue")
+    profiles.check_tool(_simulated_tool(settings))
 
     from app.headless import run_protocol  # takes a second: not before the request is known to be sound
 
@@ -161,7 +166,7 @@ def replay(
     if as_recorded and (library or config or serve_it):
         raise ConfigurationError("--as-recorded takes library and settings from the file; leave the others out.")
     for path in files:
-        Recording(path, rig)
+        profiles.check_tool(rig if tool else Recording(path, rig).tool)
 
     from app.headless import replay_recording  # takes a second: not before the files are known to be sound
     from app.plan import ServicePlan

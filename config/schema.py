@@ -1,10 +1,14 @@
 """Typed shape of every configuration file. Units stand in the names; unknown keys are refused."""
 
+import hashlib
+import json
 from enum import StrEnum
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
+
+from config.errors import ConfigurationError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -155,6 +159,9 @@ class SimulatedGrasper(Model):
     spread_scale: NonNegative = 1.0
 
 
+UNITS_OF_CALIBRATION = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "jaw_force_scale")
+
+
 class Tool(Model):
     """A tool file: board, channels, geometry, calibration, noise, limits."""
 
@@ -170,6 +177,15 @@ class Tool(Model):
     command_to_force: CommandToForce
     contact: ContactDetection
     simulation: SimulatedGrasper | None = None
+
+    @property
+    def calibration_fingerprint(self) -> str:
+        """16 hexadecimal digits of what turns volts and degrees into forces and travel: a learned library's units."""
+        calibration = self.calibration.model_dump(include=set(UNITS_OF_CALIBRATION))
+        geometry = self.geometry.model_dump(exclude={"opening_m"})
+        simulated = self.kind is ToolKind.SIMULATED  # its drive and jaws are no real tool's, whatever its constants
+        content = json.dumps([simulated, calibration, geometry, self.board.sample_rate_hz], sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     @model_validator(mode="after")
     def _simulated_has_mechanics(self) -> Self:
@@ -190,6 +206,70 @@ class Spread(Model):
     log_thickness: Positive = 0.2
 
 
+class LearnedRecording(Model):
+    """One recording that a tissue was learned from."""
+
+    file: str
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    grasps: Annotated[int, Field(ge=1)]  # that were learned from
+    left_out: tuple[str, ...] = ()  # grasps that were not, and why
+    ramp_v_per_s: Positive
+    centre: tuple[Finite, ...] = Field(min_length=1)  # of `Learned.features`
+
+
+class LearnedTissue(Model):
+    """What recordings say of a tissue, in the units of their tool's calibration."""
+
+    grasps: Annotated[int, Field(ge=1)]
+    log_covariance: tuple[tuple[Finite, ...], ...]  # of log alpha, log beta, log d, log thickness from grasp to grasp
+    contact_measured: bool  # whether thickness is; else it is the base library's, and so is its spread
+    loading_covariance: tuple[tuple[Finite, ...], ...]  # of the loading curve's features within a recording
+    recordings: tuple[LearnedRecording, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _are_covariances(self) -> Self:
+        for name, size in (("log_covariance", 4), ("loading_covariance", len(self.recordings[0].centre))):
+            _check_covariance(name, getattr(self, name), size)
+        return self
+
+
+def _check_covariance(name: str, rows: tuple[tuple[float, ...], ...], size: int) -> None:
+    if len(rows) != size or any(len(row) != size for row in rows):
+        raise ValueError(f"{name} needs {size} rows of {size} numbers")
+    matrix = np.array(rows)
+    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=1e-12):
+        raise ValueError(f"{name} is not symmetric, so it is no covariance; learn the library anew")
+    scale = np.sqrt(np.abs(np.diag(matrix)))
+    if not np.all(scale > 0) or np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() < 1e-9:
+        raise ValueError(
+            f"{name} is singular or not positive definite: some combination of its quantities would be known without "
+            "error; learn the library anew, from more grasps"
+        )
+
+
+LOADING_FEATURES = ("opening", "force_40deg", "force_5deg", "knee", "lean", "stall", "yield", "give")
+
+
+class Learned(Model):
+    """Where a library was learned, and what all of its tissues share."""
+
+    date: str
+    base: str  # library that injury thresholds, mass and jaw area come from
+    tool: str
+    calibration: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # of the tool, see `Tool.calibration_fingerprint`
+    features: tuple[str, ...] = Field(min_length=1)
+    usual_peak_v: Positive  # of the strain gage over rest; shares of force refer to it
+    session_scale: Positive  # from recording to recording of one tissue, in stated units; see docs/learning.md
+
+    @model_validator(mode="after")
+    def _are_the_features(self) -> Self:
+        if self.features != LOADING_FEATURES:
+            raise ValueError(
+                f"features are not {', '.join(LOADING_FEATURES)}: another version learned this library; learn it anew"
+            )
+        return self
+
+
 class TissueProfile(Model):
     """u = m x'' + d x' + alpha (exp(beta x) - 1), Eq. (7), and the pressure that injures."""
 
@@ -200,6 +280,7 @@ class TissueProfile(Model):
     thickness_m: Positive
     threshold_pa: Positive
     spread: Spread | None = None
+    learned: LearnedTissue | None = None
 
 
 class TissueLibrary(Model):
@@ -211,6 +292,7 @@ class TissueLibrary(Model):
     mass_kg: Positive
     jaw_area_m2: Positive
     spread: Spread
+    learned: Learned | None = None
     tissues: dict[Slug, TissueProfile] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -219,6 +301,36 @@ class TissueLibrary(Model):
         if taken:
             raise ValueError(f"{', '.join(sorted(taken))}: reserved, give the tissue another name")
         return self
+
+    @model_validator(mode="after")
+    def _learned_throughout(self) -> Self:
+        told = [name for name, profile in self.tissues.items() if profile.learned]
+        if self.learned is None and told:
+            raise ValueError(f"{', '.join(told)}: learned, but the library has no [learned] table; learn it anew")
+        if self.learned is None:
+            return self
+        missing = [name for name in self.tissues if name not in told]
+        if missing:
+            raise ValueError(f"{', '.join(missing)}: not learned as the others are; learn all tissues together")
+        for name, profile in self.tissues.items():
+            for recording in profile.learned.recordings if profile.learned else ():
+                if len(recording.centre) != len(self.learned.features):
+                    raise ValueError(f"{name}, {recording.file}: centre needs one number for each of learned.features")
+        return self
+
+    def check_tool(self, tool: Tool) -> None:
+        """Refuse a tool with another calibration than the library was learned with.
+
+        Raises:
+            ConfigurationError: what was learned is in the units of another calibration.
+        """
+        if self.learned and self.learned.calibration != tool.calibration_fingerprint:
+            raise ConfigurationError(
+                f"The library {self.name!r} was learned with the tool {self.learned.tool!r} as it was calibrated then "
+                f"({self.learned.calibration}); {tool.name!r} is calibrated otherwise ({tool.calibration_fingerprint}) "
+                "and gives other numbers of the same tissue. Name that tool with --tool, or learn a library from "
+                "recordings of this one."
+            )
 
     def spread_of(self, tissue: str) -> Spread:
         return self.tissues[tissue].spread or self.spread

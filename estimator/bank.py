@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.schema import TissueLibrary, Tool
+from config.schema import TissueLibrary, Tool, ToolKind
 from estimator.constants import (
     CONTACT_PAST_M,
     CONTACT_PAST_SD_M,
@@ -16,6 +16,10 @@ from estimator.constants import (
     LENIENT_LOG_MASS_SD,
     LOG_WALK_SD,
     PRIOR_WIDENING,
+    REAL_DISPLACEMENT_SD_M,
+    REAL_DRIFT_RATE,
+    REAL_DYNAMIC_SHARE,
+    REAL_FORCE_SD_N,
     SECOND_PASS_AT,
     STRICT_DYNAMIC_SHARE,
     STRICT_LOG_MASS_SD,
@@ -46,19 +50,28 @@ SAMPLE_COLUMNS = 5
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """Per tissue: mean and SD of (log alpha, log beta, log d), each of shape (tissues, 3)."""
+    """Per tissue: mean and SD of (log alpha, log beta, log d), each of shape (tissues, 3).
+
+    `correlation`, (tissues, 3, 3), where the library was learned: what is stiff is seldom soft at first as well.
+    """
 
     names: tuple[str, ...]
     mean: np.ndarray
     sd: np.ndarray
     mass_kg: float
+    correlation: np.ndarray | None = None
 
     @classmethod
     def of(cls, library: TissueLibrary) -> "Priors":
         mean = [(t.alpha_n, t.beta_per_m, t.damping_kg_per_s) for t in library.tissues.values()]
         spreads = [library.spread_of(name) for name in library.tissues]
         sd = [(s.log_alpha, s.log_beta, s.log_damping) for s in spreads]
-        return cls(tuple(library.tissues), np.log(mean), np.array(sd), library.mass_kg)
+        learned = [np.array(t.learned.log_covariance)[:3, :3] for t in library.tissues.values() if t.learned]
+        each_sd = [np.sqrt(np.diag(cov)) for cov in learned]
+        correlation = np.array([cov / np.outer(s, s) for cov, s in zip(learned, each_sd, strict=True)])
+        return cls(
+            tuple(library.tissues), np.log(mean), np.array(sd), library.mass_kg, correlation if learned else None
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +97,17 @@ def strict_and_lenient(tool: Tool) -> tuple[Trust, Trust]:
     )
     lenient = strict._replace(dynamic_share=LENIENT_DYNAMIC_SHARE, drift_rate=LENIENT_DRIFT_RATE, learns_held=0.0)
     return Trust(strict, STRICT_LOG_MASS_SD), Trust(lenient, LENIENT_LOG_MASS_SD)
+
+
+def on_real_tissue(trust: Trust) -> Trust:
+    """The same kind of filter for real tissue: it sticks, slides and leaves its curve, and cable and drive rub."""
+    noise = trust.noise._replace(
+        force_var=REAL_FORCE_SD_N**2,
+        displacement_var=REAL_DISPLACEMENT_SD_M**2,
+        dynamic_share=REAL_DYNAMIC_SHARE,
+        drift_rate=REAL_DRIFT_RATE,
+    )
+    return Trust(noise, LENIENT_LOG_MASS_SD)
 
 
 @dataclass(slots=True)
@@ -129,7 +153,10 @@ class Bank:
     @classmethod
     def of(cls, tool: Tool, library: TissueLibrary) -> "Bank":
         """The bank for a library's tissues on a tool."""
-        return cls(Priors.of(library), strict_and_lenient(tool))
+        trusts = strict_and_lenient(tool)
+        if library.learned and tool.kind is not ToolKind.SIMULATED:
+            trusts = tuple(on_real_tissue(trust) for trust in trusts)
+        return cls(Priors.of(library), trusts)
 
     def start(self, first: Contact, strain_var: float | None = None) -> None:
         """Begin a grasp at its first sample in contact; `strain_var`, V², where it has been measured.
@@ -145,14 +172,18 @@ class Bank:
         )
         metre_per_volt = first.sample[3]
         kinds = zip(self._noises, self.trusts, strict=True)
-        each = [(noise, trust.log_mass_sd, sd) for noise, trust in kinds for sd in self.filter_sd]
-        for at, spread, (noise, log_mass_sd, sd) in zip(mean, cov, each, strict=True):
+        correlations = [None] * len(self.filter_sd) if self.priors.correlation is None else self.priors.correlation
+        own = list(zip(self.filter_sd, correlations, strict=True))
+        each = [(noise, trust.log_mass_sd, sd, correlation) for noise, trust in kinds for sd, correlation in own]
+        for at, spread, (noise, log_mass_sd, sd, correlation) in zip(mean, cov, each, strict=True):
             unfelt_m = math.log1p(first.unfelt_force_n / math.exp(at[LOG_ALPHA])) / math.exp(at[LOG_BETA])
             x_var = first.past_sd_m**2 + unfelt_m**2
             at[X], at[V] = first.past_m + 0.5 * unfelt_m, first.velocity_m_per_s
             at[OFFSET] = -at[X]
             variances = [x_var, VELOCITY_SD_M_PER_S**2, *sd**2, log_mass_sd**2, x_var, 0.0, noise.strain_var]
             np.fill_diagonal(spread, variances)
+            if correlation is not None:
+                spread[PARAMETERS, PARAMETERS] = correlation * np.outer(sd, sd)
             spread[X, OFFSET] = spread[OFFSET, X] = -x_var
             spread[OFFSET, STRAIN] = spread[STRAIN, OFFSET] = -metre_per_volt * noise.strain_var
             spread[OFFSET, OFFSET] += metre_per_volt**2 * noise.strain_var + noise.displacement_var

@@ -15,6 +15,7 @@ from estimator.decision import UNDECIDED, UNKNOWN, Decision
 from estimator.evidence import Evidence
 from estimator.filter import PARAMETERS, X
 from estimator.identifier import bank_columns, contact_of
+from estimator.learning.evidence import LearnedGrasp
 from estimator.model import force_curve
 
 ENCODER_SLIPS, SATURATED = Flag.ENCODER_SLIPS.value, Flag.SATURATED.value
@@ -40,11 +41,15 @@ class GraspEstimation:
 
     def __init__(
         self, index: int, start_tick: int, bank: Bank, evidence: Evidence, settings: Settings, rate_hz: float,
-        *, held_before: bool = False,
+        *, held_before: bool = False, learned: LearnedGrasp | None = None,
     ) -> None:  # fmt: skip
-        """`held_before`: tissue was touched when the command left zero, so that nobody knows where contact was."""
+        """`held_before`: tissue was touched when the command left zero, so that nobody knows where contact was.
+
+        `learned`: what follows the loading curve where the library was learned; the probabilities are then its own.
+        """
         self.index, self.start_tick = index, start_tick
         self._bank, self._evidence, self._rate_hz = bank, evidence, rate_hz
+        self.learned = learned
         self._use_thickness = settings.use_thickness
         self.names = bank.priors.names
         self.decision = Decision((*self.names, UNKNOWN), settings, rate_hz)
@@ -57,6 +62,8 @@ class GraspEstimation:
         self.over = False  # nothing more to learn: jaws shut or opening, or an encoder that slips
         self.flags = 0
         self.lost_samples = 0
+        self.invalid_samples = 0  # outside the domain of the jaws' kinematics
+        self._holds_nothing = False
         self._gap_m: float | None = None  # between the jaws at contact
         self._of_thickness: np.ndarray | float = 0.0
         self._errors = ForceErrors(len(self.names), settings.convergence_error)
@@ -107,7 +114,18 @@ class GraspEstimation:
         estimates["log_sd"] = np.sqrt(variance[:, :, PARAMETERS])
         estimates["force_n"] = force_curve(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, X])
         self._errors.add(estimates["force_n"], columns[:, 0])
-        self.probabilities = self._evidence.probabilities(self._of_thickness)
+        if self.learned is None:
+            self.probabilities = self._evidence.probabilities(self._of_thickness)
+            self.decision.update(self.probabilities, int(samples["tick"][-1]))
+
+    def weigh_loading(self, samples: np.ndarray) -> None:
+        """With a learned library: what these samples (dtype SAMPLE) of the grasp add to its loading curve."""
+        if self.learned is None or self._holds_nothing:
+            return
+        if self.flags & ENCODER_SLIPS:
+            self._hold_unknown()  # no tissue was learned with such a travel, and none can be named from it
+        else:
+            self.probabilities = self.learned.take(samples)
         self.decision.update(self.probabilities, int(samples["tick"][-1]))
 
     def shut(self, wall_tick: int, contact_tick: int) -> None:
@@ -120,8 +138,9 @@ class GraspEstimation:
             return
         self._learned_steel = self._kept[0].tick > max(wall_tick, self.contact_tick + KEPT_LEAST)
         last = ([kept for kept in self._kept if kept.tick <= wall_tick] or self._kept[:1])[-1]
-        self._bank.state, self.decision = last.bank, last.decision
-        self.probabilities = last.probabilities
+        self._bank.state = last.bank
+        if self.learned is None:
+            self.decision, self.probabilities = last.decision, last.probabilities
         self._errors.truncate(last.errors)
         self._kept.clear()
         if last.pressed_m < EMPTY_JAWS_M:
@@ -129,9 +148,13 @@ class GraspEstimation:
 
     def _hold_nothing(self, wall_tick: int) -> None:
         """Jaw on jaw."""
+        self._holds_nothing = True
+        self._hold_unknown()
+        self.decision.label, self.decision.decided_tick = UNKNOWN, wall_tick
+
+    def _hold_unknown(self) -> None:
         self.probabilities = np.zeros_like(self.probabilities)
         self.probabilities[-1] = 1.0
-        self.decision.label, self.decision.decided_tick = UNKNOWN, wall_tick
 
     def why_invalid(self) -> str | None:
         """What speaks against believing this grasp, or None."""
@@ -139,14 +162,16 @@ class GraspEstimation:
             return "encoder slips or walks"
         if self.flags & SATURATED:
             return "the strain gage is saturated"
-        if self._learned_steel:
+        if self._learned_steel and self.learned is None:
             return "the jaws were shut before it could be told"
         if self._held_before:
             return "tissue was still held from before the grasp"
         if self.contact_tick < 0:
             return "no contact with tissue was found"
-        if self.lost_samples > LOST_ALLOWED:
-            return f"{self.lost_samples} samples are missing"
+        # a loading curve is measured at the handle, and needs no kinematics of the jaws
+        missing = self.lost_samples + (self.invalid_samples if self.learned is None else 0)
+        if missing > LOST_ALLOWED:
+            return f"{missing} samples are missing"
         return None
 
     @property
@@ -167,7 +192,8 @@ class GraspEstimation:
     def time_to_decision_s(self) -> float | None:
         if self.label == UNDECIDED:
             return None
-        return (self.decision.decided_tick - self.contact_tick) / self._rate_hz
+        since = self.contact_tick if self.contact_tick >= 0 else self.start_tick
+        return max(self.decision.decided_tick - since, 0) / self._rate_hz
 
     def criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
         """The paper's convergence time (s after contact) and mean force error (N) of each filter."""

@@ -24,6 +24,7 @@ from estimator.decision import UNDECIDED
 from estimator.evidence import Evidence
 from estimator.forecast import Forecast
 from estimator.grasp import GraspEstimation
+from estimator.learning.evidence import LearnedEvidence, LearnedGrasp
 
 IN_GRASP, CONTACT, CONTACT_SENSED = Flag.IN_GRASP.value, Flag.CONTACT.value, Flag.CONTACT_SENSED.value
 INVALID, ENCODER_SLIPS, HELD_BACK = Flag.INVALID.value, Flag.ENCODER_SLIPS.value, Flag.HELD_BACK.value
@@ -70,6 +71,11 @@ class EstimationSession:
     """The estimator's whole state. Call `process` with each block in its order, `finish` after the last."""
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
+        """Before a source's first block.
+
+        Raises:
+            ConfigurationError: the library was learned with a tool of another calibration.
+        """
         self._tool = tool
         self._rate_hz = tool.board.sample_rate_hz
         self._thresholds = {name: library.threshold_n(name) for name in library.tissues}
@@ -79,6 +85,8 @@ class EstimationSession:
         self._opening_m = tool.geometry.opening_m
         self.bank = Bank.of(tool, library)
         self.evidence = Evidence(self.bank, library, self._settings)
+        library.check_tool(tool)
+        self._learned = LearnedEvidence(library, tool, self._settings) if library.learned else None
         self._warnings = ForceWarnings(settings.warnings)
         self._dtype = estimate_dtype(len(library.tissues))
         self._contact = tool.contact
@@ -89,6 +97,7 @@ class EstimationSession:
         """As if nothing had been seen before; force warnings go on, as the force does."""
         self._recent = np.zeros(0, SAMPLE)
         self._rest = RestNoise(self._tool)
+        self._shut_deg: float | None = None  # where the grasp before shut the jaws, as a learned library needs it
         self._strain_var_v2 = self._rest.variance_v2()  # as measured before the grasp under way
         self._forecast = Forecast(self._rate_hz)
         self._kept_samples = max(2 * BACKDATE_SAMPLES, self._forecast.samples)
@@ -164,10 +173,24 @@ class EstimationSession:
                 self._settings,
                 self._rate_hz,
                 held_before=self._is_touched(window, int(last["grasp_start_tick"])),
+                learned=self._begin_loading(window[: -len(rows)], int(last["grasp_start_tick"])),
             )
         if self._in_grasp and self._grasp:
             self._follow(self._grasp, window, rows)
             self._withdraw(self._grasp, int(last["tick"]), withdrawn)
+
+    def _begin_loading(self, before: np.ndarray, start_tick: int) -> LearnedGrasp | None:
+        """With a learned library, what follows the loading curve; it is given those samples since the grasp's start
+        that came before this step."""
+        if self._learned is None:
+            return None
+        if self._grasp and self._grasp.learned:  # the grasp before
+            shut_deg = self._grasp.learned.loading.shut_deg
+            if shut_deg is not None or self._grasp.flags & ENCODER_SLIPS:
+                self._shut_deg = None if self._grasp.flags & ENCODER_SLIPS else shut_deg
+        learned = self._learned.begin(self._shut_deg, first=self._grasp is None)
+        learned.loading.take(before[np.searchsorted(before["tick"], start_tick) :])
+        return learned
 
     def _withdraw(self, grasp: GraspEstimation, tick: int, withdrawn: list[Withdrawal]) -> None:
         """Note where the name that was told last does not hold any more, whatever took it away."""
@@ -193,8 +216,9 @@ class EstimationSession:
         grasp.over |= bool(grasp.flags & ENCODER_SLIPS)
         if last["contact_tick"] >= 0 and not grasp.over:
             self._learn(grasp, window, rows)
-        elif grasp.over:
+        elif grasp.over and grasp.learned is None:
             grasp.decision.update(grasp.probabilities, int(last["tick"]))  # what is known by now may still be told
+        grasp.weigh_loading(samples)
         rows["probability"] = grasp.probabilities[:-1]
         rows["probability_unknown"] = grasp.probabilities[-1]
 
@@ -214,7 +238,7 @@ class EstimationSession:
             rows = blank_estimates(self._dtype, samples["tick"])  # what is earlier has been published
         sound = (samples["flags"] & INVALID) == 0
         if not sound.all():
-            grasp.lost_samples += int(np.count_nonzero(~sound))
+            grasp.invalid_samples += int(np.count_nonzero(~sound))
             samples, rows = samples[sound], rows[sound]
         if len(samples):
             grasp.take(samples, rows)

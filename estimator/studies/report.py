@@ -74,11 +74,12 @@ class Study:
         """Write `study-NAME.html` and `study-NAME.json` into `folder`; returns both paths."""
         folder.mkdir(parents=True, exist_ok=True)
         page, data = folder / f"study-{self.name}.html", folder / f"study-{self.name}.json"
-        page.write_text(self._page(), encoding="utf-8")
+        page.write_text(self.page(), encoding="utf-8")
         data.write_text(json.dumps(self.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
         return page, data
 
-    def _page(self) -> str:
+    def page(self) -> str:
+        """The report as one self-contained HTML page."""
         bodies = [_figures_table(self.figures)]
         first = True
         for part in self.parts:

@@ -15,7 +15,7 @@ from rich.table import Table
 
 sys.path.insert(1, str(Path(__file__).parents[1]))  # the tests' own helpers
 
-from benchmarks import bank, headless, live, page, record, report
+from benchmarks import bank, headless, learning, live, page, record, report
 
 
 def main() -> None:
@@ -30,6 +30,7 @@ def main() -> None:
         "headless": headless.measure,
         "recordings": record.measure,
         "report": report.measure,
+        "learning": learning.measure,
         "start": live.measure_start,
         f"live, {wanted.viewers} viewers, {wanted.live_seconds:.0f} s": lambda: live.measure(
             wanted.live_seconds, wanted.viewers

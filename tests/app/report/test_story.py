@@ -8,6 +8,7 @@ from reports import simulated_story
 from simulation import joined, simulate_raw, write_lvm
 
 from app.headless import replay_recording
+from app.record.run_file import Rig
 from app.report.report import Report, read_report
 from app.report.story import open_recording, story_of
 from app.report.stress import curve_of
@@ -19,7 +20,9 @@ def test_a_recording_s_story_has_the_grasps_of_its_replay(tmp_path, recording_to
     path = write_lvm(tmp_path / "gallbladder.lvm", joined(simulate_raw("gallbladder", cycles=2)))
     shares = []
     story = story_of(open_recording(path, recording_tool), "a title", library, settings, shares.append)
-    replayed = replay_recording(path, recording_tool, library, settings, speed=None, progress=lambda _: None)
+    replayed = replay_recording(
+        open_recording(path, recording_tool), Rig(recording_tool, library, settings), lambda _: None
+    )
     assert [*story.grasps] == replayed.grasps
     assert (story.title, len(story.traces), story.tissue) == ("a title", replayed.samples, None)
     assert shares == sorted(shares)

@@ -1,0 +1,1 @@
+"""`graspwatch learn`: from labelled recordings to a tissue library."""

@@ -1,0 +1,116 @@
+"""Reads labelled recordings, and refuses what no library can be learned from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from app.learn.reading import fingerprint, read_grasps
+from config.errors import ConfigurationError, RecordingError
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.learning.grasps import Curves, Recorded, curves_of, usual_peak_v
+from estimator.learning.parameters import blind_guess
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """What there is to learn from."""
+
+    recordings: list[Recorded]
+    curves: list[Curves]
+    peak_v: float
+    remarks: list[str]
+
+
+def gather(
+    files: dict[str, list[Path]], tool: Tool, base: TissueLibrary, settings: Settings, least: int, progress: Progress
+) -> Gathered:
+    """Every grasp of the labelled files.
+
+    Raises:
+        RecordingError: a file cannot be read, or was recorded with another tool.
+        ConfigurationError: a recording under two labels, or too few grasps of some tissue.
+    """
+    unique, remarks = _unique(files)
+    guess, total = blind_guess(base), sum(map(len, unique.values()))
+    recordings: list[Recorded] = []
+    for label, paths in unique.items():
+        for path in paths:
+            done = len(recordings)
+            recordings.append(
+                read_grasps(
+                    label, path, tool, settings, guess, lambda share, done=done: progress((done + share) / total)
+                )
+            )
+            _check_rest(recordings[-1], path, tool)
+    peak_v = usual_peak_v(recordings)
+    curves = [curves_of(each, tool, peak_v) for each in recordings] if np.isfinite(peak_v) else []
+    _check_enough(recordings, curves, least)
+    return Gathered(recordings, curves, peak_v, remarks)
+
+
+def _unique(files: dict[str, list[Path]]) -> tuple[dict[str, list[Path]], list[str]]:
+    """Each recording once, whatever its names; a recording of two tissues is none."""
+    seen: dict[str, tuple[str, Path]] = {}
+    unique: dict[str, list[Path]] = {}
+    remarks = []
+    for label, paths in files.items():
+        for path in paths:
+            sha256 = fingerprint(path)
+            if sha256 not in seen:
+                seen[sha256] = label, path
+                unique.setdefault(label, []).append(path)
+                continue
+            other, first = seen[sha256]
+            if other != label:
+                raise ConfigurationError(
+                    f"{path}: the same recording is labelled {other!r} (as {first}) and {label!r}. Keep the label that "
+                    "is right and leave the other out."
+                )
+            remarks.append(f"{path}: the same recording as {first}; it counts once.")
+    return unique, remarks
+
+
+def _check_rest(recording: Recorded, path: Path, tool: Tool) -> None:
+    """A strain gage that rests elsewhere belongs to another tool, or to this one before it was calibrated."""
+    calibration = tool.calibration
+    lowest = [float(np.percentile(grasp.samples["strain_v"], 2)) for grasp in recording.grasps if len(grasp.samples)]
+    off_v = float(np.median(lowest)) - calibration.rest_offset_v if lowest else 0.0
+    if abs(off_v) > 2 * calibration.rest_tolerance_v:
+        raise RecordingError(
+            f"{path}: its strain gage rests at {calibration.rest_offset_v + off_v:.2f} V, that of {tool.name!r} at "
+            f"{calibration.rest_offset_v:.2f} V: it was recorded with another tool or calibration. A library is "
+            "learned from recordings of one tool: leave this one out, or name its tool file with --tool and learn it "
+            "apart."
+        )
+
+
+def _check_enough(recordings: list[Recorded], curves: list[Curves], least: int) -> None:
+    """Refuse, saying of each tissue what is missing and why grasps did not count."""
+    missing = []
+    for label in dict.fromkeys(each.label for each in recordings):
+        own = [each for each in curves if each.recording.label == label]
+        sound = sum(len(each.features) for each in own)
+        if sound >= least:
+            continue
+        there = sum(len(each.grasps) for each in recordings if each.label == label)
+        missing.append(f"{label}: {sound} grasps to learn from, {least - sound} missing ({_why(own, there)})")
+    if missing:
+        raise ConfigurationError(
+            f"Too few grasps; each tissue needs {least}:\n" + "\n".join(missing) + "\nAdd recordings of these tissues, "
+            "leave their labels out, or lower --least."
+        )
+
+
+def _why(curves: list[Curves], there: int) -> str:
+    if there == 0:
+        return "its recordings hold no grasp: the command never leaves zero"
+    reasons: dict[str, int] = {}
+    for text in (each for some in curves for each in some.left_out):
+        reason = text.partition(": ")[2]
+        reasons[reason] = reasons.get(reason, 0) + 1
+    left = "; ".join(f"{count} left out, {reason}" for reason, count in reasons.items())
+    return f"{there} recorded" + (f"; {left}" if left else "; no force rose in them")

@@ -1,0 +1,83 @@
+"""What `--label` says: which files hold which tissue."""
+
+import glob
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+from typer.core import TyperCommand
+
+from config.errors import ConfigurationError
+
+OPTION = "--label"
+SLUG = re.compile(r"[a-z0-9][a-z0-9_]*")
+RESERVED = ("unknown", "undecided")
+
+
+class LearnCommand(TyperCommand):
+    """Takes `--label liver=a b c` as well: files that follow a label belong to it."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, spread_labels(args))
+
+    def format_usage(self, ctx: click.Context, formatter: Any) -> None:
+        formatter.write_usage(ctx.command_path, "[OPTIONS] --label TISSUE=FILE... --label TISSUE=FILE... --out FILE")
+
+
+def spread_labels(args: list[str]) -> list[str]:
+    """Arguments with a `--label` of its own before every file that follows one."""
+    result: list[str] = []
+    label: str | None = None
+    before = ""
+    for arg in args:
+        named = before == OPTION or arg.startswith(f"{OPTION}=")
+        if named:
+            label = arg.removeprefix(f"{OPTION}=").partition("=")[0]
+        elif arg.startswith("-"):
+            label = None
+        elif label is not None:
+            arg = f"{OPTION}={label}={arg}"
+        result.append(arg)
+        before = arg
+    return result
+
+
+def labelled_files(labels: list[str]) -> dict[str, list[Path]]:
+    """Files of each tissue, from `TISSUE=FILE`, `TISSUE=FILE,FILE` and patterns such as `TISSUE=liver*.lvm.gz`.
+
+    Raises:
+        ConfigurationError: a label without a file, a name that no tissue may have, or a pattern that fits nothing.
+    """
+    result: dict[str, list[Path]] = {}
+    for text in labels:
+        name, equals, files = text.partition("=")
+        name = name.strip().lower().replace("-", "_").replace(" ", "_")
+        if not equals or not files.strip():
+            raise ConfigurationError(
+                f"--label {text}: expected TISSUE=FILE, for example --label liver=liver4Hz1.lvm.gz. Name at least one "
+                "recording for each tissue."
+            )
+        if not SLUG.fullmatch(name) or name in RESERVED:
+            why = "is reserved for grasps that fit no tissue" if name in RESERVED else "is no name for a tissue"
+            raise ConfigurationError(f"--label {text}: {name!r} {why}. Use letters, digits and underscores.")
+        result.setdefault(name, []).extend(_files(files, text))
+    return result
+
+
+def _files(text: str, label: str) -> list[Path]:
+    if Path(text).exists():
+        return [Path(text)]
+    found: list[Path] = []
+    for part in text.split(","):
+        part = part.strip()
+        if not part:
+            continue
+        if Path(part).exists() or not glob.has_magic(part):
+            found.append(Path(part))
+            continue
+        matches = sorted(glob.glob(part))
+        if not matches:
+            raise ConfigurationError(f"--label {label}: no file fits {part!r}. Check the path.")
+        found += [Path(match) for match in matches]
+    return found

@@ -1,0 +1,71 @@
+"""Labelled recordings, grasp by grasp: the one place where `graspwatch learn` reads them."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.blocks import SAMPLE, Flag
+from acquisition.pipeline import Pipeline
+from acquisition.recordings.container import Container
+from acquisition.recordings.playing import Recording, is_mcap
+from config.errors import RecordingError
+from config.schema import Settings, Tool
+from estimator.learning.grasps import Recorded, RecordedGrasp
+from estimator.learning.parameters import identify, thickness_m
+
+IN_GRASP = Flag.IN_GRASP.value
+Progress = Callable[[float], None]
+
+
+def fingerprint(path: Path) -> str:
+    """SHA-256 of a file's content, hexadecimal; of an imported one, of the file that it was imported from.
+
+    Raises:
+        RecordingError: it is missing or cannot be read.
+    """
+    if is_mcap(path) and (imported := Container(path).about.get("imported_sha256")):
+        return imported
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: there is no such file. Check the path.") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror}).") from None
+
+
+def read_grasps(
+    label: str, path: Path, tool: Tool, settings: Settings, guess: np.ndarray, progress: Progress
+) -> Recorded:
+    """A recording's grasps, each with its parameters, searched from `guess` (log alpha, log beta, log d).
+
+    Raises:
+        RecordingError: the file cannot be read; names file and line.
+    """
+    sha256 = fingerprint(path)
+    samples = _samples(path, tool, settings, progress)
+    rate_hz = tool.board.sample_rate_hz
+    grasps = []
+    for index in range(1, int(samples["grasp"].max(initial=0)) + 1):
+        own = samples[(samples["grasp"] == index) & ((samples["flags"] & IN_GRASP) != 0)]
+        grasps.append(RecordedGrasp(index, own, identify(own, rate_hz, guess), thickness_m(own, tool)))
+    return Recorded(label, path.name, sha256, tuple(grasps))
+
+
+def _samples(path: Path, tool: Tool, settings: Settings, progress: Progress) -> np.ndarray:
+    """A whole recording, calibrated and segmented, dtype SAMPLE."""
+    recording = Recording(path, tool)
+    if recording.tool.calibration_fingerprint != tool.calibration_fingerprint:
+        raise RecordingError(
+            f"{path}: was recorded with the tool {recording.tool.name!r} as it was calibrated then, the others with "
+            f"{tool.name!r}. A library is learned from recordings of one tool: leave this one out, or learn it apart."
+        )
+    recording.skip_to_run()
+    pipeline, blocks, done = Pipeline(tool, settings.conditioning), [np.zeros(0, SAMPLE)], 0
+    with recording:
+        while (raw := recording.read_block()) is not None:
+            blocks.append(pipeline.process(raw).samples)
+            done += len(raw)
+            progress(done / recording.samples)
+    return np.concatenate(blocks)
