@@ -10,9 +10,11 @@ import pytest
 from simulation import joined, raw_block, simulate_raw, write_lvm
 from typer.testing import CliRunner
 
+from acquisition.recordings.playing import Recording
 from app.cli import app
 from app.headless import replay_recording
 from app.learn.writing import as_toml
+from app.record.run_file import Rig
 from config.errors import ConfigurationError, RecordingError
 from config.load import load_library, load_settings, load_tool
 
@@ -51,7 +53,8 @@ def learned(folder):
 
 
 def replayed(path: Path, library, tool_name="simulated"):
-    return replay_recording(path, load_tool(tool_name), library, SETTINGS, speed=None, progress=lambda _: None).grasps
+    tool = load_tool(tool_name)
+    return replay_recording(Recording(path, tool), Rig(tool, library, SETTINGS), lambda _: None).grasps
 
 
 def test_it_names_the_tissues_of_other_recordings(folder, learned):

@@ -10,6 +10,7 @@ from learned import gathered, learner
 from acquisition.pipeline import Pipeline
 from acquisition.recordings.playing import Recording
 from app.headless import replay_recording
+from app.record.run_file import Rig
 from config.load import load_library, load_settings, load_tool
 from estimator.session import EstimationSession
 
@@ -45,7 +46,8 @@ def libraries(by_name):
 def answers(by_name, libraries):
     def answer(library, name):
         path = by_name[name]
-        return replay_recording(path, TOOL, libraries[library], SETTINGS, speed=None, progress=lambda _: None).grasps
+        rig = Rig(TOOL, libraries[library], SETTINGS)
+        return replay_recording(Recording(path, TOOL), rig, lambda _: None).grasps
 
     return answer
 
