@@ -16,7 +16,8 @@ run: $(VENV)/.installed app/static/index.html ## start with the simulated graspe
 test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/estimator
+	$(BIN)/python -m pytest tests/browser tests/end_to_end  # live tools: one at a time
 
 bench: $(VENV)/.installed app/static/index.html ## measure; prints the table, writes bench.json
 	$(BIN)/python -m tests.benchmarks
