@@ -1,5 +1,6 @@
 """Decides what goes into which file: a run with what came right before and after it."""
 
+import contextlib
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -114,13 +115,14 @@ class Recorder:
         if self.file is None:
             return
         file, self.file, self._until = self.file, None, None
+        self.finished.append(file.path)
         try:
             file.close(why=why) if why else file.close()
         except OSError as error:
             raise self._stopped(file.path, error) from None
-        self.finished.append(file.path)
         if file.path.name.startswith(DEMONSTRATION):
-            self._drop_old_demonstrations()
+            with contextlib.suppress(OSError):  # somebody else tidies up, too, or nobody may
+                self._drop_old_demonstrations()
 
     def _begin(self, block: SampleBlock) -> None:
         """A file for the run that begins with this block, with what came right before it."""
