@@ -5,6 +5,8 @@ from enum import IntFlag
 
 import numpy as np
 
+from acquisition.safety import Safety
+
 
 class Flag(IntFlag):
     """What is known of one sample."""
@@ -51,7 +53,8 @@ class SampleBlock:
 
     `lost_samples` went missing right before the first one; `sequence` counts blocks, so that a receiver sees gaps.
     `run` says which run they belong to; empty between runs. With a run's first block everything begins anew: nothing of
-    the samples before it has part in what is made of it.
+    the samples before it has part in what is made of it. `safety` says where the tool stands after them, and `why` it
+    is faulted or was not armed.
     """
 
     sequence: int
@@ -59,3 +62,5 @@ class SampleBlock:
     lost_samples: int
     samples: np.ndarray
     run: str = ""
+    safety: Safety = Safety.DISARMED
+    why: str = ""

@@ -14,6 +14,7 @@ import numpy as np
 import zmq
 
 from acquisition.blocks import SAMPLE, SampleBlock
+from acquisition.safety import Safety
 
 MINUTE_OF_BLOCKS = 12_000  # high-water mark: 200 blocks a second for a minute
 
@@ -56,13 +57,15 @@ def subscriber(context: zmq.Context, *addresses: str) -> Any:
 
 
 def pack_samples(block: SampleBlock) -> list[bytes]:
-    names = ("sequence", "t_mono_ns", "lost_samples", "run")
+    names = ("sequence", "t_mono_ns", "lost_samples", "run", "safety", "why")
     header = {name: getattr(block, name) for name in names}
     return [SAMPLES, json.dumps(header).encode(), block.samples.tobytes()]
 
 
 def unpack_samples(parts: list[bytes]) -> SampleBlock:
-    return SampleBlock(**json.loads(parts[1]), samples=np.frombuffer(parts[2], SAMPLE))
+    header = json.loads(parts[1])
+    safety = Safety(header.pop("safety"))
+    return SampleBlock(**header, safety=safety, samples=np.frombuffer(parts[2], SAMPLE))
 
 
 def pack_notice(kind: str, **content: Any) -> list[bytes]:
@@ -136,6 +139,21 @@ def newest_of(context: zmq.Context, address: str) -> zmq.Socket:
 
 
 @dataclass(frozen=True, slots=True)
+class Arm:
+    """Test the tool at rest; the blocks that follow say whether it is armed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disarm:
+    """Motor to zero; nothing starts before the tool is armed again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Acknowledge:
+    """Somebody has seen the fault that is latched."""
+
+
+@dataclass(frozen=True, slots=True)
 class Start:
     """Begin a run of a protocol (its JSON); `tissue` for the simulated tool. Obeyed only before its deadline."""
 
@@ -153,8 +171,8 @@ class Stop:
     why: str
 
 
-Command = Start | Stop
-_COMMANDS = {"start": Start, "stop": Stop}
+Command = Arm | Disarm | Acknowledge | Start | Stop
+_COMMANDS = {kind.__name__.lower(): kind for kind in (Arm, Disarm, Acknowledge, Start, Stop)}
 
 
 def pack_command(command: Command) -> bytes:

@@ -1,18 +1,22 @@
-"""One turn of the acquisition: read a block, condition it, judge the force, set the next motor command."""
+"""One turn of the acquisition: read a block, condition it, judge sensors and force, set the next motor command."""
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from acquisition.blocks import SampleBlock
+from acquisition.blocks import Flag, SampleBlock
 from acquisition.limiter import HoldBack, why_stop
 from acquisition.pipeline import Pipeline
 from acquisition.protocol import ProtocolPlayer
+from acquisition.safety import IN_RUN, MOVING, WATCHED, Event, Safety, after
+from acquisition.selftest import SelfTest
 from acquisition.source import Source
-from config.errors import RefusedError
+from acquisition.watch import SensorWatch
 from config.schema import Conditioning, Protocol, Tool
 
 ASTRAY_V = 0.25
 ASTRAY_BLOCKS = 20  # 100 ms: a reader that lags behind the board sees its commands late
+HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
 
 
 class RunEnd(StrEnum):
@@ -31,15 +35,23 @@ class RunEnded:
 
 
 class Acquisition:
-    """Drives one source. The motor moves only while a run plays its protocol."""
+    """Drives one source. The motor moves only while a run plays its protocol; `safety` says where the tool stands."""
 
     def __init__(
-        self, source: Source, tool: Tool, conditioning: Conditioning, hold_back: HoldBack | None = None
-    ) -> None:
-        """`hold_back` limits the force of whatever a protocol asks for; a recording, which has no motor, needs none."""
+        self, source: Source, tool: Tool, conditioning: Conditioning, hold_back: HoldBack | None = None,
+        safety: Safety = Safety.DISARMED, why: str = "",
+    ) -> None:  # fmt: skip
+        """`hold_back` limits the force of whatever a protocol asks for; a recording, which has no motor, needs none.
+
+        `safety` is where the tool stood before, and `why` it is faulted: a fault outlives the process that had it. A
+        simulated tool in virtual time, which hurts nobody, may begin armed.
+        """
         self._source = source
         self._tool = tool
         self._pipeline = Pipeline(tool, conditioning)
+        self._watch = SensorWatch(tool)
+        self._self_test = SelfTest(tool)
+        self.safety, self.why = safety, why
         self._player: ProtocolPlayer | None = None
         self._run_id = ""
         self._ended: list[RunEnded] = []
@@ -53,15 +65,38 @@ class Acquisition:
     def running(self) -> bool:
         return self._player is not None
 
+    def arm(self) -> None:
+        """Begin the self-test; the tool is armed by one of the next turns, or disarmed again for the reason in `why`.
+
+        A tool that is armed stays so.
+
+        Raises:
+            RefusedError: a run is under way, or a fault is latched.
+        """
+        self._happens(Event.ARM)
+        self._self_test.begin()
+
+    def disarm(self) -> None:
+        """Motor to zero; nothing starts before the tool is armed again."""
+        self._end_run(Event.DISARM, RunEnd.STOPPED, "the tool was disarmed")
+
+    def acknowledge(self) -> None:
+        """Somebody has seen the fault.
+
+        Raises:
+            RefusedError: there is none.
+        """
+        self._happens(Event.ACKNOWLEDGE)
+
     def start(self, run_id: str, protocol: Protocol, cycles: int) -> None:
         """Begin a run: everything is measured anew, and the strain gage is tared during the protocol's lead-in.
 
         Raises:
-            RefusedError: a run is under way, or the protocol passes the tool's limits.
+            RefusedError: the tool is not armed, a run is under way, or the protocol passes the tool's limits.
         """
-        if self.running:
-            raise RefusedError("A run is under way. Stop it first.")
+        after(self.safety, Event.START)  # a tool that is not armed is the first thing to know of
         player = ProtocolPlayer(protocol, self._tool, cycles)
+        self._happens(Event.START)
         self._run_id, self._player = run_id, player
 
     def allow(self, threshold_n: float, tick: int) -> None:
@@ -69,15 +104,28 @@ class Acquisition:
         if self._hold_back is not None:
             self._hold_back.allow(threshold_n, tick)
 
-    def stop(self, end: RunEnd, why: str) -> bool:
+    def stop(self, why: str) -> bool:
         """Motor to zero at once, whatever else is the case; returns whether a run was ended by it."""
+        return self._end_run(Event.STOP, RunEnd.STOPPED, why)
+
+    def _fault(self, why: str) -> None:
+        self._end_run(Event.FAULT, RunEnd.FAILED, why)
+        self.why = why
+
+    def _end_run(self, event: Event, end: RunEnd, why: str) -> bool:
         self._write(0.0)
         self._held = 0
+        self._happens(event)
         if not self.running:
             return False
         self._player = None
         self._ended.append(RunEnded(self._run_id, end, why))
         return True
+
+    def _happens(self, event: Event) -> None:
+        before, self.safety = self.safety, after(self.safety, event)
+        if before is not self.safety and event is not Event.FAULT:
+            self.why = ""
 
     def turn(self) -> SampleBlock | None:
         """Read and condition the next block and set the command that follows it; None at a recording's end.
@@ -88,16 +136,37 @@ class Acquisition:
         raw = self._source.read_block()
         if raw is None:
             return None
+        if self.running and self._player.begins:
+            self._watch.begin_anew()  # with the tare
         block = self._pipeline.process(replace(raw, limiter=self._held, run=self._run_id if self.running else ""))
-        if self._player is not None:
-            why = why_stop(self._tool.limits, block.samples) or self._why_not_move(block)
-            if why:
-                self.stop(RunEnd.FAILED, why)
-            elif self._player.done:
-                self.stop(RunEnd.FINISHED, "all cycles are done")
+        self._self_test.take(block.samples)
+        tare = self._pipeline.tare
+        lost = self._watch.judge(block.samples, tare.rest_v if tare.measured else math.nan)
+        if self.safety is Safety.TESTING:
+            self._test()
+        elif self.safety in WATCHED and (why := lost or self._why_stop(block)):
+            self._fault(why)
+        elif self._player is not None:
+            if self._player.done:
+                self._end_run(Event.FINISH, RunEnd.FINISHED, "all cycles are done")
             else:
                 self._move(block, self._player.advance(len(raw)))
-        return block
+        return replace(block, safety=self.safety, why=self.why)
+
+    def _test(self) -> None:
+        """Pass as soon as the last samples are those of a sound tool at rest; fail when that takes too long."""
+        why = self._self_test.fault()
+        if why is None:
+            self._happens(Event.TEST_PASSED)
+        elif self._self_test.over:
+            self._happens(Event.TEST_FAILED)
+            self.why = why
+
+    def _why_stop(self, block: SampleBlock) -> str | None:
+        """What forbids the motor to go on, of a run."""
+        if self.safety not in IN_RUN:
+            return None
+        return why_stop(self._tool.limits, block.samples) or self._why_not_move(block)
 
     def _move(self, block: SampleBlock, wanted_v: float) -> None:
         """Write what the protocol asks for, or as much of it as the limiter allows."""
@@ -106,6 +175,7 @@ class Acquisition:
             return
         was_let_go = self._hold_back.why_let_go
         command_v, self._held = self._hold_back.judge(block.samples, wanted_v)
+        self._happens(_event_of(self._held))
         self._write(command_v)
         if (why := self._hold_back.why_let_go) and not was_let_go:
             self._let_go.append(why)
@@ -126,6 +196,8 @@ class Acquisition:
         return None
 
     def _write(self, command_v: float) -> None:
+        if self.safety not in MOVING:
+            command_v = 0.0
         if command_v != self._command_v or command_v == 0.0:
             self._source.write_command(command_v)
             self._command_v = command_v
@@ -139,3 +211,10 @@ class Acquisition:
         """Why grasps were let go since the last call, the motor at zero for the rest of each."""
         let_go, self._let_go = self._let_go, []
         return let_go
+
+
+def _event_of(held: int) -> Event:
+    """What the limiter's flags mean."""
+    if held & LET_GO:
+        return Event.LET_GO
+    return Event.HOLD_BACK if held & HELD_BACK else Event.RELEASE

@@ -69,6 +69,11 @@ class ProtocolPlayer:
         self._at = 0
 
     @property
+    def begins(self) -> bool:
+        """Whether nothing has been played yet."""
+        return self._at == 0
+
+    @property
     def at_rest(self) -> bool:
         """Whether the lead-in is still going on."""
         return self._at < self._lead_in

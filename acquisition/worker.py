@@ -6,9 +6,10 @@ from dataclasses import asdict, dataclass
 import zmq
 
 from acquisition import bus
-from acquisition.control import Acquisition, RunEnd
+from acquisition.control import Acquisition
 from acquisition.limiter import HoldBack
 from acquisition.process import StopFlag, ask_for_realtime, become_worker, calm_garbage_collector
+from acquisition.safety import Safety
 from acquisition.tools import open_tool
 from config.errors import GraspwatchError, RefusedError
 from config.schema import Conditioning, Limiter, Protocol, TissueLibrary, Tool
@@ -28,6 +29,7 @@ class Setup:
     tissue: str
     seed: int
     limiter: Limiter
+    fault: str = ""  # that a worker before this one died of, with the motor armed
 
 
 def main(setup: Setup) -> None:
@@ -53,7 +55,8 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
     commands.bind(setup.endpoints.commands)
     with source:
         hold_back = HoldBack(setup.tool, setup.library, setup.limiter)
-        acquisition = Acquisition(source, setup.tool, setup.conditioning, hold_back)
+        safety = Safety.FAULTED if setup.fault else Safety.DISARMED
+        acquisition = Acquisition(source, setup.tool, setup.conditioning, hold_back, safety, setup.fault)
         calm_garbage_collector()
         realtime = ask_for_realtime(REALTIME_PRIORITY)
         publisher.send_multipart(bus.pack_notice("acquiring", realtime=realtime))
@@ -69,7 +72,7 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
                 if isinstance(command, bus.Start) and command.tissue and grasper and not answer.refused:
                     grasper.hold(command.tissue)
                 commands.send(bus.pack_answer(answer))
-        acquisition.stop(RunEnd.STOPPED, "the service was ended")
+        acquisition.stop("the service was ended")
         _tell_news(acquisition, publisher)
 
 
@@ -89,8 +92,14 @@ def _obey(command: bus.Command, acquisition: Acquisition) -> bus.Answer:
                     return bus.Answer(refused="The request to start came too late and was not obeyed. Try again.")
                 protocol = Protocol.model_validate_json(command.protocol)
                 acquisition.start(command.run_id, protocol, command.cycles)
-                return bus.Answer()
             case bus.Stop():
-                return bus.Answer(effect=acquisition.stop(RunEnd.STOPPED, command.why))
+                return bus.Answer(effect=acquisition.stop(command.why))
+            case bus.Arm():
+                acquisition.arm()
+            case bus.Disarm():
+                acquisition.disarm()
+            case bus.Acknowledge():
+                acquisition.acknowledge()
+        return bus.Answer()
     except RefusedError as error:
         return bus.Answer(refused=str(error))

@@ -120,18 +120,31 @@ class AlarmBook:
             alarm = self._keep(key, alarm.model_copy(update={"active": False, "ended_ms": _at(at_ms)}))
             self._note(JournalKind.ALARM, alarm, f"Over: {alarm.text}")
 
+    def key_of(self, alarm_id: str) -> str | None:
+        """Of an alarm that is on."""
+        return next((key for key, alarm in self._alarms.items() if alarm.id == alarm_id), None)
+
+    def check(self, alarm_id: str, seen: Priority) -> str:
+        """The key of an alarm that may be acknowledged by whoever has `seen` it at that priority.
+
+        Raises:
+            RefusedError: there is no such alarm any more, or it is worse by now.
+        """
+        key = self.key_of(alarm_id)
+        if key is None:
+            text = f"There is no alarm {alarm_id!r} any more. GET /api/alarms lists those that are on."
+            raise RefusedError(text, "id")
+        if RANK[self._alarms[key].priority] > RANK[seen]:
+            raise RefusedError("The alarm is worse by now: look at it again.", "priority")
+        return key
+
     def acknowledge(self, alarm_id: str, seen: Priority, by: str) -> Alarm:
         """Somebody has seen it; an alarm whose cause is gone is over with that.
 
         Raises:
             RefusedError: there is no such alarm any more, or it is worse by now than what was `seen`.
         """
-        key = next((key for key, alarm in self._alarms.items() if alarm.id == alarm_id), None)
-        if key is None:
-            text = f"There is no alarm {alarm_id!r} any more. GET /api/alarms lists those that are on."
-            raise RefusedError(text, "id")
-        if RANK[self._alarms[key].priority] > RANK[seen]:
-            raise RefusedError("The alarm is worse by now: look at it again.", "priority")
+        key = self.check(alarm_id, seen)
         alarm = self._alarms[key].model_copy(update={"acknowledged_by": by, "latched": False})
         alarm = self._keep(key, alarm)
         self._note(JournalKind.ACKNOWLEDGED, alarm, f"Acknowledged: {alarm.text}", by)

@@ -6,7 +6,7 @@ from itertools import cycle
 
 from app.station import Station
 from app.wire import Phase
-from config.errors import ServiceError
+from config.errors import GraspwatchError
 from config.load import load_protocol
 from config.schema import TissueLibrary
 
@@ -50,5 +50,5 @@ async def demonstrate(station: Station) -> None:
         station.demo = scene.text
         try:
             await station.start_run(load_protocol(scene.protocol), GRASPS, scene.tissue, by=None)
-        except ServiceError:
+        except GraspwatchError:
             continue  # its alarm is on; the next round tries again

@@ -10,6 +10,7 @@ from acquisition.control import Acquisition, RunEnd, RunEnded
 from acquisition.limiter import HoldBack
 from acquisition.pipeline import Pipeline
 from acquisition.recordings.playing import Recording
+from acquisition.safety import Safety
 from acquisition.tools import open_tool
 from app.record.comparing import Comparing, Comparison
 from app.record.headless_file import HeadlessFile, new_run
@@ -69,7 +70,7 @@ def run_protocol(
     recorded = HeadlessFile(record, rig, new_run(run_id, protocol.name, cycles, tissue), protocol) if record else None
     with source, recorded or contextlib.nullcontext() as file:
         hold_back = HoldBack(tool, library, settings.limiter)
-        acquisition = Acquisition(source, tool, settings.conditioning, hold_back)
+        acquisition = Acquisition(source, tool, settings.conditioning, hold_back, Safety.ARMED)
         acquisition.start(run_id, protocol, cycles)
         ended: list[RunEnded] = []
         while not ended:

@@ -8,7 +8,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from app.wire import Problem
-from config.errors import GraspwatchError, ServiceError
+from config.errors import GraspwatchError, RefusedError, ServiceError
 
 PROBLEM = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}
 
@@ -46,6 +46,10 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(ServiceError)
     async def on_part_missing(request: Request, error: ServiceError) -> JSONResponse:
         return _answer(HTTPStatus.SERVICE_UNAVAILABLE, str(error))
+
+    @app.exception_handler(RefusedError)
+    async def on_refused(request: Request, error: RefusedError) -> JSONResponse:
+        return _answer(HTTPStatus.CONFLICT, str(error))
 
     @app.exception_handler(GraspwatchError)
     async def on_fault(request: Request, error: GraspwatchError) -> JSONResponse:

@@ -15,8 +15,11 @@ from pydantic import BaseModel
 
 from acquisition import bus
 from acquisition.blocks import SampleBlock
+from acquisition.safety import Safety
 from app.alarms import AlarmBook
+from app.arming import Arming
 from app.clock import now_ms, wall_ms
+from app.commander import ANSWER_S, Commander
 from app.describe import free_bytes, hello
 from app.frames import FrameBuffer
 from app.joiner import Joiner
@@ -46,12 +49,11 @@ from app.wire import (
     RunState,
     State,
 )
-from config.errors import ServiceError
+from config.errors import GraspwatchError, ServiceError
 from config.load import holdable
 from config.schema import Protocol, ToolKind
 from estimator.worker import unpack_estimates
 
-ANSWER_S = 0.5
 GRASPS_TOLD = 200  # of the last run, to a viewer who comes
 LITTLE_DISK_BYTES = 200e6  # a few minutes of a recording
 LOSS_SHOWN_S = 5.0
@@ -76,6 +78,8 @@ class Station:
         self.internal_error: str | None = None
         self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED else None
         self._context = zmq.asyncio.Context()
+        self._commander = Commander(self._context, self.supervisor.endpoints.commands)
+        self.arming = Arming(self._commander, self.alarms, self.supervisor, self.tell_event)
         self.recorder = RecorderLink(plan, self.supervisor.endpoints.events, self.alarms, self.index, self.tell_event)
         self._tasks: list[asyncio.Task[None]] = []
         rate_hz, tissues = plan.tool.board.sample_rate_hz, len(plan.library.tissues)
@@ -130,7 +134,7 @@ class Station:
         self.internal_error = f"The server failed inside ({task.exception()!r}). Start the service again."
         logging.getLogger("graspwatch").error("the server failed inside", exc_info=task.exception())
         self.alarms.raise_technical("server", Priority.HIGH, self.internal_error)
-        self._stopping = asyncio.create_task(self._command(bus.Stop("the server failed")))
+        self._stopping = asyncio.create_task(self._commander.send(bus.Stop("the server failed")))
 
     async def _start_tool(self) -> None:
         await self.estimator_ready.wait()
@@ -153,19 +157,24 @@ class Station:
     # --- commands ----------------------------------------------------------------------------------------------------
 
     async def start_run(self, protocol: Protocol, cycles: int, tissue: str | None, by: str | None) -> Run:
-        """Start a protocol.
+        """Start a protocol; a tool that is not armed is armed first, unless the settings forbid it.
 
         Raises:
-            ServiceError: the acquisition does not answer or refuses; the text says why.
+            RefusedError: a fault is latched, the tool cannot be armed, or the acquisition refuses.
+            ServiceError: the acquisition does not answer.
         """
+        self.arming.check_fault()
+        if self.arming.safety is not Safety.ARMED and self.plan.settings.safety.arm_with_start:
+            await self.arming.arm()
         prefix = DEMONSTRATION if self.demo else ""
         run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
         self.recorder.brief(Brief(run.id, protocol.model_dump_json(), cycles, tissue, by))
         deadline_ns = time.monotonic_ns() + int(ANSWER_S * 1e9)
-        answer = await self._command(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue, deadline_ns))
-        if answer.refused:
+        try:
+            await self._commander.send(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue, deadline_ns))
+        except GraspwatchError:
             self.runs.forget(run.id)
-            raise ServiceError(answer.refused)
+            raise
         self._keep(run)
         self.simulated_tissue = tissue or self.simulated_tissue
         held = f", {holdable(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
@@ -181,26 +190,12 @@ class Station:
         """
         if self.supervisor.workers["acquisition"].process is None:
             return False  # there is no motor, or nothing that could move it yet
-        answer = await self._command(bus.Stop(why))
-        if answer.refused:
-            raise ServiceError(answer.refused)
+        effect = await self._commander.send(bus.Stop(why))
         current = self.runs.current
-        if answer.effect and current:
+        if effect and current:
             self._end_run(current.id, RunState.STOPPED, why)
         self.tell_event("Stopped: the motor is at zero" + (f" ({why})" if why else ""), JournalKind.RUN, by)
-        return answer.effect
-
-    async def _command(self, command: bus.Command) -> bus.Answer:
-        socket = self._context.socket(zmq.REQ)
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.connect(self.supervisor.endpoints.commands)
-        try:
-            await socket.send(bus.pack_command(command))
-            return bus.unpack_answer(await asyncio.wait_for(socket.recv(), ANSWER_S))
-        except TimeoutError:
-            return bus.Answer(refused="The acquisition worker does not answer. See the alarms, then try again.")
-        finally:
-            socket.close()
+        return effect
 
     # --- what the workers say ----------------------------------------------------------------------------------------
 
@@ -224,6 +219,8 @@ class Station:
             self._joiner.begin_anew()
             self._forget_grasp()
             self.runs.ticks_begin_anew()
+        if self.arming.follow(block):
+            self.tell_state()
         missing = self._samples.take(block.sequence)
         self._last_tick = int(block.samples["tick"][-1])
         self.watchdog.heard("acquisition")
@@ -346,9 +343,6 @@ class Station:
         if ended:
             self._keep(ended)
         self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN, run=ended)
-        if state is RunState.FAILED:
-            text = f"The run was ended with the motor at zero: {why}"
-            self.alarms.happened("run", AlarmKind.TECHNICAL, text)
         if state is not RunState.FINISHED:
             self.demo = None
         self.tell_state()
@@ -368,8 +362,10 @@ class Station:
         self.alarms.raise_technical(worker, Priority.HIGH, text)
         self.tell_event(text)
         current = self.runs.current
-        if worker == "acquisition" and current:
-            self._end_run(current.id, RunState.FAILED, "the acquisition worker died")
+        if worker == "acquisition":
+            self.arming.died("the acquisition worker died")
+            if current:
+                self._end_run(current.id, RunState.FAILED, "the acquisition worker died")
         self.tell_state()
 
     # --- what the viewers get ----------------------------------------------------------------------------------------
@@ -422,6 +418,8 @@ class Station:
         return State(
             server_time_ms=now_ms(),
             phase=self.phase,
+            safety=self.arming.safety,
+            safety_why=self.arming.why or None,
             run=self.runs.current,
             last_run=self.runs.last,
             simulated_tissue=self.simulated_tissue,

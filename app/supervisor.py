@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -68,6 +68,11 @@ class Supervisor:
             "estimator": Worker("estimator", estimator_worker.main, estimator),
             "recorder": Worker("recorder", recorder_worker.main, recorder),
         }
+
+    def begin_with_fault(self, why: str) -> None:
+        """What the next acquisition worker begins with; empty: nothing is at fault."""
+        acquisition = self.workers["acquisition"]
+        acquisition.setup = replace(acquisition.setup, fault=why)
 
     def start_estimator(self) -> None:
         self._start(self.workers["estimator"])

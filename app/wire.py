@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from acquisition.safety import Safety
 from config.schema import ToolKind
 from estimator.alarms import Priority
 
@@ -152,6 +153,18 @@ class RunRequest(Wire):
     by: Person | None = Field(None, description="Who asks for it")
 
 
+class ArmRequest(Wire):
+    """May be left out altogether."""
+
+    by: Person | None = None
+
+
+class SafetyReport(Wire):
+    """Where the tool stands after it was armed or disarmed."""
+
+    safety: Safety
+
+
 class StopRequest(Wire):
     """May be left out altogether: a stop needs no words."""
 
@@ -230,6 +243,8 @@ class State(Wire):
     type: Literal["state"] = "state"
     server_time_ms: float
     phase: Phase
+    safety: Safety = Field(description="Whether the motor may move; it does only in `running` and `holding back`")
+    safety_why: str | None = Field(description="Why it is faulted, or was not armed")
     run: Run | None
     last_run: Run | None
     simulated_tissue: str | None

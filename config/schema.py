@@ -148,6 +148,21 @@ class ContactDetection(Model):
     walk_deg: Positive
 
 
+class Plausible(Model):
+    """What the sensors of a sound tool stay within: beyond it the force or the jaws are not known.
+
+    The defaults are for the Smart Tool as recorded in 2013, whose own vibration comes to 0.25 V in 3 ms.
+    """
+
+    strain_step_v: Positive = 0.4  # between the medians of three samples and the next three
+    strain_scatter_v: Positive = 0.35  # second difference of the noise, the median of ten
+    strain_below_rest_v: Positive = 1.2
+    rest_drift_v: Positive = 0.8  # between grasps
+    encoder_step_deg: Positive = 2.0  # from sample to sample
+    encoder_back_deg: Positive = 15.0  # in a grasp, before its beginning
+    encoder_stuck_v: Positive = 0.04  # change of strain while the encoder does not move by a count
+
+
 class SimulatedGrasper(Model):
     """Mechanics that the simulated tool adds to the tissue: drive lag, free travel, opening."""
 
@@ -176,6 +191,7 @@ class Tool(Model):
     limits: ToolLimits
     command_to_force: CommandToForce
     contact: ContactDetection
+    plausible: Plausible = Plausible()
     simulation: SimulatedGrasper | None = None
 
     @property
@@ -460,6 +476,12 @@ class Identification(Model):
         return self
 
 
+class Arming(Model):
+    """Arming takes a tare and a self-test at rest; with `arm_with_start` a start does it where nobody has before."""
+
+    arm_with_start: bool = True
+
+
 class Limiter(Model):
     """Where the force is held: a share of the injury threshold in force.
 
@@ -505,6 +527,7 @@ class Settings(Model):
     server: Server = Server()
     conditioning: Conditioning = Conditioning()
     identification: Identification = Identification()
+    safety: Arming = Arming()
     limiter: Limiter = Limiter()
     warnings: Warnings = Warnings()
     recording: Recording = Recording()

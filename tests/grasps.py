@@ -6,6 +6,7 @@ import numpy as np
 
 from acquisition.blocks import SampleBlock
 from acquisition.control import Acquisition
+from acquisition.safety import Safety
 from acquisition.simulation.tissue import Specimen
 from acquisition.tools import open_tool
 from estimator.bank import Contact
@@ -19,7 +20,7 @@ def conditioned(tool, library, settings, protocol, tissue, seed=1, cycles=1) -> 
     source, grasper = open_tool(tool, library, tissue, seed, virtual=True)
     blocks = []
     with source:
-        acquisition = Acquisition(source, tool, settings.conditioning)
+        acquisition = Acquisition(source, tool, settings.conditioning, safety=Safety.ARMED)
         acquisition.start("test", protocol, cycles)
         while not acquisition.take_ended():
             blocks.append(acquisition.turn().samples)

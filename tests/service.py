@@ -97,6 +97,14 @@ class Service:
         assert response.status_code == 201, response.text
         return response.json()
 
+    def acknowledge_fault(self) -> str:
+        """Acknowledge the latched fault; its text."""
+        [alarm] = [alarm for alarm in self.http.get("/api/alarms").json() if alarm["id"].startswith("fault-")]
+        seen = {"by": "a test", "priority": alarm["priority"]}
+        response = self.http.post(f"/api/alarms/{alarm['id']}/acknowledge", json=seen)
+        assert response.status_code == 200, response.text
+        return alarm["text"]
+
     def finished(self, run_id: str, timeout_s: float = 30.0) -> dict[str, Any]:
         def over() -> dict[str, Any] | None:
             run = self.http.get(f"/api/runs/{run_id}").json()

@@ -26,7 +26,7 @@ async def alarms(request: Request) -> list[Alarm]:
 async def acknowledge(request: Request, alarm_id: str, wanted: AcknowledgeRequest) -> Alarm:
     """Somebody has seen an alarm: it falls silent on every page, and stays in sight until its cause is gone."""
     try:
-        return station_of(request).alarms.acknowledge(alarm_id, wanted.priority, wanted.by)
+        return await station_of(request).arming.acknowledge(alarm_id, wanted.priority, wanted.by)
     except RefusedError as error:
         status = HTTPStatus.NOT_FOUND if error.field == "id" else HTTPStatus.CONFLICT
         raise ProblemError(status, str(error)) from None

@@ -6,11 +6,12 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Query, Request, Response
 
 from acquisition.protocol import ProtocolPlayer
+from acquisition.safety import Safety
 from app.problems import PROBLEM, ProblemError
 from app.routes.paging import tell_page
 from app.station import Station
 from app.store.questions import RunQuestion
-from app.wire import Grasp, Phase, Run, RunRequest, StopAnswer, StopRequest
+from app.wire import ArmRequest, Grasp, Phase, Run, RunRequest, SafetyReport, StopAnswer, StopRequest
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import available, choose, holdable, load_protocol
 from config.schema import ToolKind
@@ -34,8 +35,7 @@ def station_of(request: Request) -> Station:
 async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> Run:
     """Start a protocol on the tool."""
     station = station_of(request)
-    if station.plan.opened:
-        raise ProblemError(HTTPStatus.CONFLICT, "This service only shows recordings: there is no tool to run.")
+    check_tool(station)
     try:
         protocol = load_protocol(choose(wanted.protocol, available("protocols"), "protocol"))
     except ConfigurationError as error:
@@ -79,6 +79,33 @@ def _check_tissue(station: Station, tissue: str | None) -> None:
         choose(tissue, list(holdable(station.plan.library).tissues), "tissue")
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "tissue") from None
+
+
+@router.post("/arm", responses={409: {"description": "It cannot be armed", **PROBLEM}})
+async def arm(request: Request, wanted: ArmRequest | None = None) -> SafetyReport:
+    """Tare the tool and test it at rest, so that it may move. A start does so itself, unless the settings forbid it."""
+    station = station_of(request)
+    check_tool(station)
+    await station.arming.arm()
+    return SafetyReport(safety=station.arming.safety)
+
+
+@router.post("/disarm", responses={409: {"description": "The tool does not answer", **PROBLEM}})
+async def disarm(request: Request, wanted: ArmRequest | None = None) -> SafetyReport:
+    """Motor to zero, and nothing starts before the tool is armed again; a run under way is stopped."""
+    station = station_of(request)
+    check_tool(station)
+    await station.arming.disarm()
+    return SafetyReport(safety=Safety.DISARMED)
+
+
+def check_tool(station: Station) -> None:
+    """
+    Raises:
+        ProblemError: there is none.
+    """
+    if station.plan.opened:
+        raise ProblemError(HTTPStatus.CONFLICT, "This service only shows recordings: there is no tool to run.")
 
 
 @router.get("/runs", responses={503: {"description": "No index", **PROBLEM}})

@@ -5,6 +5,7 @@ import pytest
 
 from acquisition.control import Acquisition, RunEnd
 from acquisition.nidaq import NidaqTool
+from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import in_process_options
@@ -28,7 +29,7 @@ def turns(acquisition, count):
 def test_a_run_plays_its_cycles_and_ends_with_the_motor_at_zero():
     board, source = rig()
     with source:
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning)
+        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, safety=Safety.ARMED)
         acquisition.start("a", PROTOCOL, 2)
         samples = turns(acquisition, 700)
         assert samples["grasp"].max() == 2
@@ -43,7 +44,7 @@ def test_the_force_ceiling_ends_the_run_within_three_blocks_of_the_sample():
     tool = TOOL.model_copy(update={"limits": TOOL.limits.model_copy(update={"force_ceiling_n": 1.0})})
     board, source = rig(tool)
     with source:
-        acquisition = Acquisition(source, tool, SETTINGS.conditioning)
+        acquisition = Acquisition(source, tool, SETTINGS.conditioning, safety=Safety.ARMED)
         acquisition.start("a", PROTOCOL, 3)
         samples = turns(acquisition, 600)
         (ended,) = acquisition.take_ended()
@@ -58,20 +59,20 @@ def test_the_force_ceiling_ends_the_run_within_three_blocks_of_the_sample():
 def test_stop_zeroes_the_motor_at_once_and_says_whether_there_was_a_run():
     board, source = rig()
     with source:
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning)
+        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, safety=Safety.ARMED)
         acquisition.start("a", PROTOCOL, 3)
         turns(acquisition, 140)
         assert board.output_v > 0
-        assert acquisition.stop(RunEnd.STOPPED, "asked")
+        assert acquisition.stop("asked")
         assert board.output_v == 0.0
-        assert not acquisition.stop(RunEnd.STOPPED, "asked again")
+        assert not acquisition.stop("asked again")
         assert not turns(acquisition, 10)["motor_command_v"][5:].any()
 
 
 def test_a_second_run_is_refused_and_the_first_goes_on():
     _, source = rig()
     with source:
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning)
+        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, safety=Safety.ARMED)
         acquisition.start("a", PROTOCOL, 1)
         with pytest.raises(RefusedError, match="under way"):
             acquisition.start("b", PROTOCOL, 1)
@@ -82,7 +83,7 @@ def test_a_second_run_is_refused_and_the_first_goes_on():
 def test_a_failing_board_leaves_the_motor_at_zero():
     board, source = rig()
     with source:
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning)
+        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, safety=Safety.ARMED)
         acquisition.start("a", PROTOCOL, 1)
         turns(acquisition, 140)
         assert board.output_v > 0
@@ -95,7 +96,7 @@ def test_a_failing_board_leaves_the_motor_at_zero():
 def test_every_run_is_tared_anew():
     _, source = rig()
     with source:
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning)
+        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, safety=Safety.ARMED)
         acquisition.start("a", PROTOCOL, 1)
         samples = turns(acquisition, 400)
         rest = samples["jaw_force_n"][250:480]  # tared, before the command leaves zero
@@ -107,7 +108,7 @@ def test_a_strain_gage_that_cannot_be_tared_ends_the_run_before_the_motor_moves(
     _, source = rig()
     drifted = TOOL.model_copy(update={"calibration": calibration})
     with source:
-        acquisition = Acquisition(source, drifted, SETTINGS.conditioning)
+        acquisition = Acquisition(source, drifted, SETTINGS.conditioning, safety=Safety.ARMED)
         acquisition.start("a", PROTOCOL, 1)
         samples = turns(acquisition, 300)
         (ended,) = acquisition.take_ended()

@@ -199,6 +199,11 @@ def test_a_killed_worker_is_told_and_replaced(worker):
         until(running.ready)
         if worker == "acquisition":
             assert running.finished(run["id"])["state"] == "failed"
+            refused = running.http.post("/api/runs", json={"protocol": "trapezoid_2hz"})
+            assert (refused.status_code, refused.json()["title"]) == (409, "Conflict")
+            assert "A fault is latched: the acquisition worker died. Acknowledge" in refused.json()["detail"]
+            assert running.http.post("/api/arm").status_code == 409
+            assert "the acquisition worker died" in running.acknowledge_fault()
         else:
             assert running.http.get(f"/api/runs/{run['id']}").json()["state"] == "running"
             running.http.post("/api/stop")
@@ -269,3 +274,20 @@ def test_ctrl_c_in_a_run_ends_everything_without_a_traceback():
         running.process.wait(15)
         assert not [pid for pid in workers if os.path.exists(f"/proc/{pid}")]
         assert "Traceback" not in running.process.stderr.read()
+
+
+def test_a_tool_is_armed_by_hand_where_the_settings_ask_for_it(tmp_path):
+    settings = (CONFIG_DIR / "graspwatch.toml").read_text()
+    assert "arm_with_start = true" in settings
+    (tmp_path / "by_hand.toml").write_text(settings.replace("arm_with_start = true", "arm_with_start = false"))
+    with Service("serve", "--config", str(tmp_path / "by_hand.toml")) as running:
+        refused = running.http.post("/api/runs", json={"protocol": "trapezoid_2hz"})
+        assert (refused.status_code, "not armed" in refused.json()["detail"]) == (409, True)
+        assert running.http.post("/api/arm").json() == {"safety": "armed"}
+        run = running.run(protocol="trapezoid_4hz", cycles=1)
+        assert running.finished(run["id"])["state"] == "finished"
+        running.run(protocol="trapezoid_4hz", cycles=1)  # still armed
+        assert running.http.post("/api/stop").json()["stopped"]
+        assert running.http.post("/api/runs", json={"protocol": "trapezoid_2hz"}).status_code == 409
+        assert running.http.post("/api/arm").json() == {"safety": "armed"}  # waits until the jaws rest
+        assert running.http.post("/api/disarm").json() == {"safety": "disarmed"}

@@ -11,6 +11,7 @@ from acquisition.blocks import Flag
 from acquisition.control import Acquisition
 from acquisition.limiter import HoldBack
 from acquisition.nidaq import NidaqTool
+from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import in_process_options
 from config.load import load_library, load_protocol, load_settings, load_tool
@@ -42,7 +43,9 @@ def run(tissue: str, protocol: str = "strong_2hz", seed: int = 1, cycles: int = 
     session = EstimationSession(TOOL, LIBRARY, SETTINGS)
     blocks, found = [], []
     with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, HoldBack(TOOL, LIBRARY, SETTINGS.limiter))
+        acquisition = Acquisition(
+            source, TOOL, SETTINGS.conditioning, HoldBack(TOOL, LIBRARY, SETTINGS.limiter), Safety.ARMED
+        )
         acquisition.start("run", load_protocol(protocol), cycles)
         while not acquisition.take_ended():
             block = acquisition.turn()

@@ -1,18 +1,31 @@
 import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
 import { count } from "../format";
-import { getProtocols, messageOf, startRun } from "../live/rest";
+import { arm, disarm, getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
 import type { Person } from "../shell/person";
-import type { Hello, Phase, ProtocolInfo, Run, RunRequest } from "../wire";
+import type { Hello, Phase, ProtocolInfo, Run, RunRequest, Safety, State } from "../wire";
 import { drawWaveform } from "./waveform";
 
-const PHASE: Record<Phase, string> = {
+/** Null: where the tool stands says more. */
+const PHASE: Record<Phase, string | null> = {
   starting: "starting up",
-  idle: "ready",
-  running: "running",
+  idle: null,
+  running: null,
   replay: "no tool",
   faulted: "FAULT",
 };
+const SAFETY: Record<Safety, string> = {
+  disarmed: "disarmed",
+  testing: "testing",
+  armed: "ARMED",
+  running: "running",
+  "holding back": "holding back",
+  "let go": "let go",
+  stopped: "stopped",
+  faulted: "FAULT",
+};
+/** In these a press of the button disarms; in the others it arms. */
+const ARMED: Safety[] = ["testing", "armed", "running", "holding back", "let go"];
 
 /** Choosing a motion, seeing it before it runs, and starting it. */
 export class ProtocolPanel {
@@ -20,6 +33,7 @@ export class ProtocolPanel {
   private readonly tissue = byId<HTMLSelectElement>("tissue-select");
   private readonly cycles = byId<HTMLInputElement>("cycles");
   private readonly start = byId<HTMLButtonElement>("start");
+  private readonly armButton = byId<HTMLButtonElement>("arm");
   private readonly message = byId("run-message");
   private protocols: ProtocolInfo[] = [];
   private startedRun: string | null = null;
@@ -30,6 +44,7 @@ export class ProtocolPanel {
     private readonly person: Person,
   ) {
     this.protocol.addEventListener("change", () => this.preview());
+    this.armButton.addEventListener("click", () => void this.armOrDisarm());
     byId("run-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.submit();
@@ -55,8 +70,10 @@ export class ProtocolPanel {
     const { hello, state } = this.model;
     if (hello && this.tissuesFor !== hello.holdable) this.listTissues(hello);
     setHidden(byId("run-form"), this.model.hasNoTool);
-    setText(byId("phase"), state ? PHASE[state.phase] : "");
-    setData(byId("phase"), "phase", state?.phase ?? "");
+    setText(byId("phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
+    setData(byId("phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
+    setText(this.armButton, this.isArmed(state) ? "Disarm" : "Arm");
+    this.armButton.disabled = state?.safety === "faulted";
     setText(byId("run-now"), this.runInWords());
     if (this.startedRun && state?.run === null && state.last_run?.id === this.startedRun) this.forget();
     if (hello && state) this.nameHeldTissue(state.simulated_tissue);
@@ -84,6 +101,19 @@ export class ProtocolPanel {
       this.say(`Not started: ${messageOf(error)}`, "failed");
     } finally {
       setAttribute(this.start, "aria-busy", "false");
+    }
+  }
+
+  private isArmed = (state: State | null): boolean => state !== null && ARMED.includes(state.safety);
+
+  private async armOrDisarm(): Promise<void> {
+    const armed = this.isArmed(this.model.state);
+    this.say(armed ? "Disarming…" : "Testing the tool…", "pending");
+    try {
+      await (armed ? disarm : arm)(this.person.name);
+      this.say(armed ? "Disarmed: the motor cannot move." : "Armed: tare and self-test passed.", "done");
+    } catch (error) {
+      this.say(messageOf(error), "failed");
     }
   }
 
@@ -121,6 +151,7 @@ export class ProtocolPanel {
 
   private runInWords(): string {
     const { state } = this.model;
+    if (state?.safety === "faulted") return `FAULT, the motor is at zero: ${state.safety_why ?? "see the log"}. Acknowledge its alarm to go on.`;
     if (state?.phase === "faulted") return `The tool is at fault: ${state.faults.join("; ") || "see the log"}`;
     if (this.model.hasNoTool) return "This service only shows recordings: there is no motor to start.";
     const run = state?.run ?? state?.last_run;

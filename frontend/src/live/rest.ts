@@ -1,4 +1,6 @@
-import type { AcknowledgeRequest, Alarm, Priority, Problem, ProtocolInfo, Run, RunRequest, StopAnswer, StopRequest } from "../wire";
+import type {
+  AcknowledgeRequest, Alarm, ArmRequest, Priority, Problem, ProtocolInfo, Run, RunRequest, SafetyReport, StopAnswer, StopRequest,
+} from "../wire";
 
 const PATIENCE_MS = 5000;
 const STOP_PATIENCE_MS = 2000;
@@ -21,6 +23,10 @@ export const deletePath = (path: string): Promise<null> => ask("DELETE", path, P
 export const getProtocols = (): Promise<ProtocolInfo[]> => getJson("/api/protocols");
 
 export const startRun = (request: RunRequest): Promise<Run> => postJson("/api/runs", request);
+
+export const arm = (by: string | null): Promise<SafetyReport> => postJson("/api/arm", { by } satisfies ArmRequest);
+
+export const disarm = (by: string | null): Promise<SafetyReport> => postJson("/api/disarm", { by } satisfies ArmRequest);
 
 export const sendStop = (by: string | null): Promise<StopAnswer> => {
   const request: StopRequest = { by };

@@ -1,0 +1,135 @@
+"""Watches the sensors for what no grasp can do: then force or jaws are not known, and the motor must not move."""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from acquisition.blocks import Flag
+from acquisition.contact import COMMAND_ON_V
+from config.schema import Tool
+
+STUCK_SAMPLES = 10
+"""Equal readings in a row. Noise of 12 steps of the converter gives two equal ones in a row in 2 % of cases; the 2013
+recordings have 5 at most."""
+SMOOTH_SAMPLES = 3
+SCATTER_SAMPLES = 10
+SETTLED_S = 0.3
+"""After the command returned to zero the strain gage is back at its tare."""
+REST_SAMPLES = 50
+STILL_COUNTS = 2.5
+"""Of the encoder: a reading that flickers stands still."""
+
+IN_GRASP = Flag.IN_GRASP.value
+
+
+class SensorWatch:
+    """Takes every sample of strain gage, encoder and command, and says from which one on they cannot be true.
+
+    Limits are the tool's (`plausible` in its file): what its own vibration, noise and speed come to stays within them.
+    """
+
+    def __init__(self, tool: Tool) -> None:
+        self._limits = tool.plausible
+        self._still_deg = STILL_COUNTS * tool.calibration.encoder_resolution_deg
+        self._settled_samples = round(SETTLED_S * tool.board.sample_rate_hz)
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Another tare, or samples after a gap: nothing that came before is compared with them."""
+        self._strain_v: deque[float] = deque(maxlen=2 * SMOOTH_SAMPLES)
+        self._scatter_v: deque[float] = deque(maxlen=SCATTER_SAMPLES)
+        self._at_rest_v: deque[float] = deque(maxlen=REST_SAMPLES)
+        self._equal = 0
+        self._encoder_deg = self._encoder_zero_deg = math.nan
+        self._still_at_deg = self._still_since_v = math.nan
+        self._rested = 0
+
+    def judge(self, samples: np.ndarray, rest_v: float) -> str | None:
+        """Why the samples (dtype SAMPLE, consecutive to the last ones) cannot be true, or None.
+
+        `rest_v` is the tare, V. Every sample is taken, also after the first that cannot be true.
+        """
+        why = None
+        columns = (samples["strain_v"], samples["encoder_deg"], samples["motor_command_v"], samples["flags"])
+        for strain_v, encoder_deg, command_v, flags in zip(*(column.tolist() for column in columns), strict=True):
+            if not math.isfinite(strain_v):
+                why = why or "the strain gage gives no number: check its wiring"
+                self.begin_anew()
+                continue
+            found = self._judge_strain(strain_v, rest_v, command_v)
+            found = self._judge_encoder(encoder_deg, is_grasped=bool(flags & IN_GRASP)) or found
+            why = why or found
+        return why
+
+    def _judge_strain(self, strain_v: float, rest_v: float, command_v: float) -> str | None:
+        limits, recent = self._limits, self._strain_v
+        self._equal = self._equal + 1 if recent and strain_v == recent[-1] else 0
+        recent.append(strain_v)
+        if self._equal >= STUCK_SAMPLES - 1:
+            return f"the strain gage is stuck at {strain_v:.3f} V: check its wiring and amplifier"
+        if len(recent) < 2 * SMOOTH_SAMPLES:
+            return None
+        *before, last_but_two_v, last_but_one_v, last_v = recent
+        now_v = _middle(last_but_two_v, last_but_one_v, last_v)
+        step_v = now_v - _middle(*before)
+        if abs(step_v) > limits.strain_step_v:
+            return f"the strain gage jumped by {step_v:+.3f} V, faster than any force: check its wiring"
+        if now_v - rest_v < -limits.strain_below_rest_v:
+            return f"the strain gage reads {rest_v - now_v:.3f} V below its rest: check its wiring"
+        self._scatter_v.append(abs(last_v - 2.0 * last_but_one_v + last_but_two_v))
+        if len(self._scatter_v) == SCATTER_SAMPLES:
+            scatter_v = sorted(self._scatter_v)[SCATTER_SAMPLES // 2]
+            if scatter_v > limits.strain_scatter_v:
+                return (
+                    f"the strain gage scatters by {scatter_v:.3f} V from sample to sample: check its cable"
+                )
+        return self._judge_rest(strain_v, rest_v, command_v)
+
+    def _judge_rest(self, strain_v: float, rest_v: float, command_v: float) -> str | None:
+        """Between grasps the strain comes back to the tare; a gage that jumped a little in a grasp does not."""
+        if command_v > COMMAND_ON_V:
+            self._rested = 0
+            self._at_rest_v.clear()
+            return None
+        self._rested += 1
+        if self._rested <= self._settled_samples:
+            return None
+        self._at_rest_v.append(strain_v)
+        if len(self._at_rest_v) < REST_SAMPLES:
+            return None
+        off_v = sorted(self._at_rest_v)[REST_SAMPLES // 2] - rest_v
+        self._at_rest_v.clear()
+        if abs(off_v) > self._limits.rest_drift_v:
+            return f"the strain gage rests {off_v:+.3f} V off its tare: the force is not known; arm anew"
+        return None
+
+    def _judge_encoder(self, encoder_deg: float, *, is_grasped: bool) -> str | None:
+        limits, before_deg = self._limits, self._encoder_deg
+        if not math.isfinite(encoder_deg):
+            return "the encoder gives no number: check its wiring"
+        self._encoder_deg = encoder_deg
+        if not is_grasped:
+            self._encoder_zero_deg = encoder_deg
+        step_deg = encoder_deg - before_deg
+        if abs(step_deg) > limits.encoder_step_deg:
+            return f"the encoder jumped by {step_deg:+.1f} degrees, faster than the motor turns: check its wiring"
+        if encoder_deg - self._encoder_zero_deg < -limits.encoder_back_deg:
+            return f"the encoder turns back by {self._encoder_zero_deg - encoder_deg:.0f} degrees while the jaws close"
+        return self._judge_standing(encoder_deg)
+
+    def _judge_standing(self, encoder_deg: float) -> str | None:
+        """Force stretches the cable, which turns the encoder: standing still while the strain changes, it is stuck."""
+        if len(self._strain_v) < 2 * SMOOTH_SAMPLES:
+            return None
+        strain_v = sorted(self._strain_v)[SMOOTH_SAMPLES]
+        if not abs(encoder_deg - self._still_at_deg) < self._still_deg:
+            self._still_at_deg, self._still_since_v = encoder_deg, strain_v
+        change_v = strain_v - self._still_since_v
+        if abs(change_v) > self._limits.encoder_stuck_v:
+            return f"the encoder stands still while the strain changes by {change_v:+.3f} V: check its wiring"
+        return None
+
+
+def _middle(a: float, b: float, c: float) -> float:
+    return max(min(a, b), min(max(a, b), c))
