@@ -31,6 +31,7 @@ class Endpoints:
     commands: str
     events: str
     recorder: str
+    guard: str
 
     @classmethod
     def in_folder(cls, folder: Path) -> "Endpoints":
@@ -66,6 +67,11 @@ def unpack_samples(parts: list[bytes]) -> SampleBlock:
     header = json.loads(parts[1])
     safety = Safety(header.pop("safety"))
     return SampleBlock(**header, safety=safety, samples=np.frombuffer(parts[2], SAMPLE))
+
+
+def safety_of(parts: list[bytes]) -> Safety:
+    """Where the tool stands, of a packed block."""
+    return Safety(json.loads(parts[1])["safety"])
 
 
 def pack_notice(kind: str, **content: Any) -> list[bytes]:

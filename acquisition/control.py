@@ -143,7 +143,7 @@ class Acquisition:
         tare = self._pipeline.tare
         lost = self._watch.judge(block.samples, tare.rest_v if tare.measured else math.nan)
         if self.safety is Safety.TESTING:
-            self._test()
+            self._test(lost)
         elif self.safety in WATCHED and (why := lost or self._why_stop(block)):
             self._fault(why)
         elif self._player is not None:
@@ -153,9 +153,9 @@ class Acquisition:
                 self._move(block, self._player.advance(len(raw)))
         return replace(block, safety=self.safety, why=self.why)
 
-    def _test(self) -> None:
+    def _test(self, lost: str | None) -> None:
         """Pass as soon as the last samples are those of a sound tool at rest; fail when that takes too long."""
-        why = self._self_test.fault()
+        why = self._self_test.fault() or lost
         if why is None:
             self._happens(Event.TEST_PASSED)
         elif self._self_test.over:

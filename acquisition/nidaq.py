@@ -6,6 +6,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+import grpc
 import nidaqmx
 import numpy as np
 from nidaqmx.constants import AcquisitionType, EncoderType, TriggerType
@@ -23,7 +24,7 @@ from config.schema import Tool
 # DaqBaseError holds a missing driver, a failing board and a lost server; OSError comes from a driver that cannot load.
 _BOARD_ERRORS = (DaqBaseError, OSError)
 
-_PATIENCE_S = 1.0  # beyond the duration of a block
+_PATIENCE_S = 0.008  # beyond the duration of a block: without samples nobody knows the force
 _WRITE_TIMEOUT_S = 1.0
 
 _IN_USE = "Another program uses {device}: close it, then start again."
@@ -234,6 +235,12 @@ class NidaqTool:
         return False
 
 
+def session_options(tool: Tool) -> nidaqmx.GrpcSessionOptions | None:
+    """How the tool's board is reached: through the server that its file names, or (None) the installed driver."""
+    address = tool.board.grpc_address
+    return nidaqmx.GrpcSessionOptions(grpc.insecure_channel(address), "") if address else None
+
+
 def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> None:
     """Abort whatever runs on the tool's board and put its outputs to 0 V, for when the worker that had it is dead.
 
@@ -241,7 +248,7 @@ def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = N
         ToolError: the board could not be reset; the motor may still be driven.
     """
     try:
-        Device(tool.board.device, grpc_options=grpc_options).reset_device()
+        Device(tool.board.device, grpc_options=grpc_options or session_options(tool)).reset_device()
     except _BOARD_ERRORS as error:
         raise ToolError(f"{_explain(error, tool)} {_switch_off(tool)}") from error
 
@@ -253,7 +260,9 @@ def check_driver(tool: Tool) -> None:
         ToolError: there is none.
     """
     try:
-        System.local().driver_version  # noqa: B018
+        options = session_options(tool)
+        system = System.remote(options) if options else System.local()
+        system.driver_version  # noqa: B018
     except _BOARD_ERRORS as error:
         raise ToolError(_explain(error, tool)) from error
 

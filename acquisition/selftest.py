@@ -45,6 +45,8 @@ class SelfTest:
         command_v = float(np.abs(samples["motor_command_v"]).max())
         if not command_v < COMMAND_ON_V:
             return f"the motor command is read back as {command_v:.2f} V instead of 0 V: check its wiring"
+        if not (np.isfinite(strain_v).all() and np.isfinite(samples["encoder_deg"]).all()):
+            return "a sensor gives no number: check its wiring"
         rest_v, calibration = float(np.median(strain_v)), tool.calibration
         if not abs(rest_v - calibration.rest_offset_v) <= calibration.rest_tolerance_v:
             return (

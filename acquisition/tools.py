@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from acquisition.nidaq import NidaqTool
+from acquisition.nidaq import NidaqTool, session_options
 from config.load import holdable
 from config.schema import TissueLibrary, Tool, ToolKind
 
@@ -20,7 +20,7 @@ def open_tool(
     With `virtual`, simulated time jumps as fast as the reader reads; otherwise it is the real one.
     """
     if tool.kind is ToolKind.NIDAQ:
-        return NidaqTool(tool), None
+        return NidaqTool(tool, session_options(tool)), None
     from acquisition.simulation.board import RealClock, SimulatedBoard, VirtualClock  # only where it is asked for
     from acquisition.simulation.grasper import SimulatedGrasper
     from acquisition.simulation.service import in_process_options

@@ -13,10 +13,13 @@ STUCK_SAMPLES = 10
 """Equal readings in a row. Noise of 12 steps of the converter gives two equal ones in a row in 2 % of cases; the 2013
 recordings have 5 at most."""
 SMOOTH_SAMPLES = 3
-SCATTER_SAMPLES = 10
+SCATTER_SAMPLES = 7
 SETTLED_S = 0.3
 """After the command returned to zero the strain gage is back at its tare."""
 REST_SAMPLES = 50
+TURN_SAMPLES = 30
+TURNED_DEG = 5.0
+"""Back, while the strain rises under a command that does not fall: in the 2013 recordings by 6 mV at most."""
 STILL_COUNTS = 2.5
 """Of the encoder: a reading that flickers stands still."""
 
@@ -40,6 +43,7 @@ class SensorWatch:
         self._strain_v: deque[float] = deque(maxlen=2 * SMOOTH_SAMPLES)
         self._scatter_v: deque[float] = deque(maxlen=SCATTER_SAMPLES)
         self._at_rest_v: deque[float] = deque(maxlen=REST_SAMPLES)
+        self._turning: deque[tuple[float, float, float]] = deque(maxlen=TURN_SAMPLES)  # strain, encoder, command
         self._equal = 0
         self._encoder_deg = self._encoder_zero_deg = math.nan
         self._still_at_deg = self._still_since_v = math.nan
@@ -58,7 +62,7 @@ class SensorWatch:
                 self.begin_anew()
                 continue
             found = self._judge_strain(strain_v, rest_v, command_v)
-            found = self._judge_encoder(encoder_deg, is_grasped=bool(flags & IN_GRASP)) or found
+            found = found or self._judge_encoder(encoder_deg, command_v, is_grasped=bool(flags & IN_GRASP))
             why = why or found
         return why
 
@@ -81,9 +85,7 @@ class SensorWatch:
         if len(self._scatter_v) == SCATTER_SAMPLES:
             scatter_v = sorted(self._scatter_v)[SCATTER_SAMPLES // 2]
             if scatter_v > limits.strain_scatter_v:
-                return (
-                    f"the strain gage scatters by {scatter_v:.3f} V from sample to sample: check its cable"
-                )
+                return f"the strain gage scatters by {scatter_v:.3f} V from sample to sample: check its cable"
         return self._judge_rest(strain_v, rest_v, command_v)
 
     def _judge_rest(self, strain_v: float, rest_v: float, command_v: float) -> str | None:
@@ -104,7 +106,7 @@ class SensorWatch:
             return f"the strain gage rests {off_v:+.3f} V off its tare: the force is not known; arm anew"
         return None
 
-    def _judge_encoder(self, encoder_deg: float, *, is_grasped: bool) -> str | None:
+    def _judge_encoder(self, encoder_deg: float, command_v: float, *, is_grasped: bool) -> str | None:
         limits, before_deg = self._limits, self._encoder_deg
         if not math.isfinite(encoder_deg):
             return "the encoder gives no number: check its wiring"
@@ -116,13 +118,23 @@ class SensorWatch:
             return f"the encoder jumped by {step_deg:+.1f} degrees, faster than the motor turns: check its wiring"
         if encoder_deg - self._encoder_zero_deg < -limits.encoder_back_deg:
             return f"the encoder turns back by {self._encoder_zero_deg - encoder_deg:.0f} degrees while the jaws close"
-        return self._judge_standing(encoder_deg)
-
-    def _judge_standing(self, encoder_deg: float) -> str | None:
-        """Force stretches the cable, which turns the encoder: standing still while the strain changes, it is stuck."""
         if len(self._strain_v) < 2 * SMOOTH_SAMPLES:
             return None
         strain_v = sorted(self._strain_v)[SMOOTH_SAMPLES]
+        return self._judge_standing(encoder_deg, strain_v) or self._judge_turning(encoder_deg, strain_v, command_v)
+
+    def _judge_turning(self, encoder_deg: float, strain_v: float, command_v: float) -> str | None:
+        """Closing jaws turn the encoder forward, and more so where the force rises."""
+        self._turning.append((strain_v, encoder_deg, command_v))
+        before_v, before_deg, before_command_v = self._turning[0]
+        turned_deg, rise_v = before_deg - encoder_deg, strain_v - before_v
+        is_closing = command_v > COMMAND_ON_V and command_v >= before_command_v - COMMAND_ON_V
+        if is_closing and turned_deg > TURNED_DEG and rise_v > self._limits.encoder_stuck_v:
+            return f"the encoder turns back by {turned_deg:.1f} degrees while the force rises: check its wiring"
+        return None
+
+    def _judge_standing(self, encoder_deg: float, strain_v: float) -> str | None:
+        """Force stretches the cable, which turns the encoder: standing still while the strain changes, it is stuck."""
         if not abs(encoder_deg - self._still_at_deg) < self._still_deg:
             self._still_at_deg, self._still_since_v = encoder_deg, strain_v
         change_v = strain_v - self._still_since_v

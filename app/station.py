@@ -111,6 +111,7 @@ class Station:
             self._listen(endpoints.estimates, self._on_estimator),
             self._listen(endpoints.samples, self._on_acquisition),
             self._listen(endpoints.recorder, self._on_recorder),
+            self._listen(endpoints.guard, self._on_guard),
             self._tick(),
             self._start_tool(),
         ):
@@ -118,6 +119,7 @@ class Station:
             task.add_done_callback(self._on_task_end)
             self._tasks.append(task)
         self.supervisor.start_recorder()
+        self.supervisor.start_guard()
         self.supervisor.start_estimator()
 
     def _end_runs_cut_short(self) -> None:
@@ -213,7 +215,8 @@ class Station:
             return
         block = bus.unpack_samples(parts)
         if self.supervisor.workers["acquisition"].condition is Condition.STARTING:
-            self.supervisor.workers["acquisition"].condition = Condition.RUNNING
+            self.supervisor.runs("acquisition")
+            self.alarms.end("motor")  # who opens the board writes zero first
             self.tell_state()
         if self._samples.begins_anew(block.sequence):
             self._joiner.begin_anew()
@@ -309,7 +312,7 @@ class Station:
             case "compiling":
                 self.tell_event("Preparing the filters (compiled on the first start, which takes up to a minute)")
             case "estimating":
-                self.supervisor.workers["estimator"].condition = Condition.RUNNING
+                self.supervisor.runs("estimator")
                 self.estimator_ready.set()
             case "acquiring":
                 how = "" if notice["realtime"] else ", without real-time priority"
@@ -325,11 +328,18 @@ class Station:
 
     def _on_recorder(self, parts: list[bytes]) -> None:
         self.watchdog.heard("recorder")
-        self.supervisor.workers["recorder"].condition = Condition.RUNNING
+        self.supervisor.runs("recorder")
         before = self.recorder.state.file
         self.recorder.heard(bus.unpack_notice(parts))
         if self.recorder.state.file != before:
             self.tell_state()
+
+    def _on_guard(self, parts: list[bytes]) -> None:
+        self.watchdog.heard("guard")
+        self.supervisor.runs("guard")
+        notice = bus.unpack_notice(parts)
+        if notice["kind"] == "zeroed":
+            self.alarms.raise_technical("samples", Priority.HIGH, notice["text"])
 
     def _keep_grasp(self, grasp: Grasp) -> None:
         self.metrics.grasps.labels(grasp.label).inc()
@@ -356,6 +366,9 @@ class Station:
         if worker == "recorder":
             self.recorder.died(text)
             self.tell_state()
+            return
+        if worker == "guard":
+            self.alarms.raise_technical(worker, Priority.HIGH, f"{text} A hung acquisition would be noticed late")
             return
         self._forget_grasp()
         text = " ".join(filter(None, (self._fault_texts.pop(worker, None), text)))

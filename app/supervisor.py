@@ -13,6 +13,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from acquisition import guard
 from acquisition import worker as acquisition_worker
 from acquisition.bus import Endpoints
 from acquisition.nidaq import reset_device
@@ -24,7 +25,9 @@ from config.schema import ToolKind
 from estimator import worker as estimator_worker
 
 RESTARTS_A_MINUTE = 3
-ENDING_S = 3.0
+ENDING_S = 1.5
+RESET_S = 3.0
+RESET_AGAIN_S = 0.05
 
 
 class Condition(StrEnum):
@@ -42,6 +45,7 @@ class Worker:
     setup: Any
     process: BaseProcess | None = None
     condition: Condition = Condition.STARTING
+    has_run: bool = False
     deaths: deque[float] = field(default_factory=lambda: deque(maxlen=RESTARTS_A_MINUTE + 1))
 
 
@@ -56,6 +60,7 @@ class Supervisor:
         self.endpoints = Endpoints.in_folder(Path(self._folder.name))
         self._context = multiprocessing.get_context("spawn")
         self._ending = False
+        self._replacing: set[asyncio.Task[None]] = set()
         acquisition = acquisition_worker.Setup(
             os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings.conditioning,
             plan.tissue, plan.seed, plan.settings.limiter,
@@ -68,6 +73,9 @@ class Supervisor:
             "estimator": Worker("estimator", estimator_worker.main, estimator),
             "recorder": Worker("recorder", recorder_worker.main, recorder),
         }
+        if plan.tool.kind is ToolKind.NIDAQ:  # a simulated tool's motor is gone with its worker
+            setup = guard.Setup(os.getpid(), self.endpoints, plan.tool)
+            self.workers["guard"] = Worker("guard", guard.main, setup)
 
     def begin_with_fault(self, why: str) -> None:
         """What the next acquisition worker begins with; empty: nothing is at fault."""
@@ -76,6 +84,14 @@ class Supervisor:
 
     def start_estimator(self) -> None:
         self._start(self.workers["estimator"])
+
+    def start_guard(self) -> None:
+        if "guard" in self.workers:
+            self._start(self.workers["guard"])
+
+    def runs(self, name: str) -> None:
+        """A worker has shown that it does its work."""
+        self.workers[name].condition, self.workers[name].has_run = Condition.RUNNING, True
 
     def start_recorder(self) -> None:
         self._start(self.workers["recorder"])
@@ -92,28 +108,43 @@ class Supervisor:
     def _died(self, worker: Worker, process: BaseProcess) -> None:
         asyncio.get_running_loop().remove_reader(process.sentinel)
         process.join()
-        if worker.name == "acquisition" and process.exitcode != 0:
-            self._zero_motor()
-        if self._ending:
-            return
+        replacing = asyncio.create_task(self._replace(worker, process))
+        self._replacing.add(replacing)
+        replacing.add_done_callback(self._replacing.discard)
+
+    async def _replace(self, worker: Worker, process: BaseProcess) -> None:
+        """Tell the death of a worker, bring its motor to zero, and start another one unless that is hopeless."""
         worker.deaths.append(time.monotonic())
         often = len(worker.deaths) > RESTARTS_A_MINUTE and worker.deaths[-1] - worker.deaths[0] < 60.0
-        final = often or process.exitcode == ToolError.exit_code
+        final = often or (process.exitcode == ToolError.exit_code and not worker.has_run)
         worker.condition = Condition.FAULTED if final else Condition.STARTING
-        how = f"signal {-process.exitcode}" if process.exitcode < 0 else f"exit code {process.exitcode}"
-        what = "it stays down: mend the cause and start the service again" if final else "it is being restarted"
-        self._on_death(worker.name, f"The {worker.name} worker died ({how}); {what}.")
-        if not final:
+        if not self._ending:
+            how = f"signal {-process.exitcode}" if process.exitcode < 0 else f"exit code {process.exitcode}"
+            what = "it stays down: mend the cause and start the service again" if final else "it is being restarted"
+            self._on_death(worker.name, f"The {worker.name} worker died ({how}); {what}.")
+        if worker.name == "acquisition" and process.exitcode != 0:
+            await self._zero_motor()
+        if not final and not self._ending:
             self._start(worker)
 
-    def _zero_motor(self) -> None:
+    async def _zero_motor(self) -> None:
         """The board holds its last output when its owner dies; only a reset brings it to zero."""
         if self._plan.tool.kind is not ToolKind.NIDAQ:
             return
         try:
-            reset_device(self._plan.tool)
+            async with asyncio.timeout(RESET_S):
+                while not await self._reset():
+                    await asyncio.sleep(RESET_AGAIN_S)
+        except TimeoutError:
+            self._on_death("motor", "The board does not answer to a reset: switch off the motor's amplifier NOW.")
+
+    async def _reset(self) -> bool:
+        try:
+            await asyncio.to_thread(reset_device, self._plan.tool)
         except ToolError as error:
             self._on_death("motor", str(error))
+            return False
+        return True
 
     def kill(self, name: str) -> None:
         """End a worker that does not answer any more; its death is then handled like any other."""
@@ -131,7 +162,7 @@ class Supervisor:
         await asyncio.to_thread(self._join, processes)
         acquisition = self.workers["acquisition"].process
         if acquisition and acquisition.exitcode != 0:
-            self._zero_motor()
+            await self._zero_motor()
         self._folder.cleanup()
 
     @staticmethod

@@ -9,7 +9,7 @@ from app.wire import Priority
 
 SILENCE_S = 0.25
 HUNG_S = 2.0  # a worker silent for longer is killed and replaced
-RECORDER_SILENCE_S, RECORDER_HUNG_S = 2.0, 10.0  # a disk may take its time
+SAYER_SILENCE_S, SAYER_HUNG_S = 2.0, 10.0  # a disk may take its time
 
 
 class Watchdog:
@@ -19,7 +19,7 @@ class Watchdog:
         self._supervisor = supervisor
         self._alarms = alarms
         self._tell_event = tell_event
-        self._heard_s = {"acquisition": 0.0, "estimator": 0.0, "recorder": 0.0}
+        self._heard_s = {"acquisition": 0.0, "estimator": 0.0, "recorder": 0.0, "guard": 0.0}
         self._from_s = 0.0
         self._sampling_since_s = 0.0
         self.sampling = False
@@ -55,22 +55,23 @@ class Watchdog:
         elif estimating and alive["estimator"]:
             self._alarms.end("estimates")
             self._alarms.end("estimator")
-        self._watch_recorder(now)
+        self._watch_sayer("recorder", now, "nothing is recorded")
+        self._watch_sayer("guard", now, "a hung acquisition would be noticed late")
         for name, since_s in silent_s.items():
             expected = name == "acquisition" or self.sampling
             if alive[name] and expected and since_s > HUNG_S:
                 self._tell_event(f"The {name} worker does not answer: it is ended and replaced")
                 self._supervisor.kill(name)
 
-    def _watch_recorder(self, now: float) -> None:
-        """It says twice a second that it lives, whether anything is recorded or not."""
-        heard_s = self._heard_s["recorder"]
-        if not heard_s or self._supervisor.workers["recorder"].condition is not Condition.RUNNING:
+    def _watch_sayer(self, name: str, now: float, lacking: str) -> None:
+        """One that says twice a second that it lives, whether it has anything to do or not."""
+        heard_s = self._heard_s[name]
+        if not heard_s or self._supervisor.workers[name].condition is not Condition.RUNNING:
             return
-        if now - heard_s < RECORDER_SILENCE_S:
-            self._alarms.end("recorder")
+        if now - heard_s < SAYER_SILENCE_S:
+            self._alarms.end(name)
             return
-        self._alarms.raise_technical("recorder", Priority.MEDIUM, "The recorder does not answer: nothing is recorded")
-        if now - heard_s > RECORDER_HUNG_S:
-            self._tell_event("The recorder worker does not answer: it is ended and replaced")
-            self._supervisor.kill("recorder")
+        self._alarms.raise_technical(name, Priority.MEDIUM, f"The {name} does not answer: {lacking}")
+        if now - heard_s > SAYER_HUNG_S:
+            self._tell_event(f"The {name} worker does not answer: it is ended and replaced")
+            self._supervisor.kill(name)

@@ -33,12 +33,17 @@ class ToolKind(StrEnum):
 
 
 class Board(Model):
-    """The NI board: one hardware-timed clock for the analog inputs and the encoder."""
+    """The NI board: one hardware-timed clock for the analog inputs and the encoder.
+
+    With `grpc_address` it is reached through an NI gRPC device server on this machine instead of the installed driver;
+    what lies further away needs an encrypted tunnel.
+    """
 
     device: str = "Dev1"
     product: str = "PCI-6230"
     sample_rate_hz: Positive = 1000.0
     block_samples: Annotated[int, Field(ge=1, le=100)] = 5
+    grpc_address: Annotated[str, Field(pattern=r"^(localhost|127\.0\.0\.1|\[::1\]):\d{1,5}$")] | None = None
 
 
 class Channels(Model):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from reactions import Reactions
 
 from config.load import load_library, load_protocol, load_settings, load_tool
 from config.schema import Protocol, Settings, TissueLibrary, Tool
@@ -16,6 +17,15 @@ CHECKOUT = Path(__file__).parents[1]
 # how long an example takes depends on who else uses the machine; speed is for the benchmarks
 hypothesis.settings.register_profile("unhurried", hypothesis.settings(), deadline=None)
 hypothesis.settings.load_profile("unhurried")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--reactions", type=Path, help="Append measured reaction times to this file, one JSON a line.")
+
+
+@pytest.fixture
+def reactions(request: pytest.FixtureRequest) -> Reactions:
+    return Reactions(request.node.nodeid.partition("[")[0], request.config.getoption("--reactions"))
 
 
 @pytest.fixture(scope="session")

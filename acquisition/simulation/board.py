@@ -6,7 +6,7 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from nidaqmx.error_codes import DAQmxErrors
 
@@ -74,6 +74,14 @@ class State(Enum):
 Sample = tuple[float, float, float, float, float]  # strain, readback, touch 1, touch 2 in V; encoder in deg
 
 
+class Output(NamedTuple):
+    """A change of the motor command output: when, at which sample since the start, to what."""
+
+    at_ns: int
+    sample: int
+    volts: float
+
+
 @dataclass(slots=True, eq=False)
 class Task:
     """One DAQmx task; `samples` are those that nobody has read yet."""
@@ -122,6 +130,9 @@ class SimulatedBoard:
         self._period_ns = 0
         self._produced = 0
         self._clock_edges_left: float = math.inf
+        self._mute_until_ns = self._late_until_ns = 0.0
+        self._error: BoardError | None = None
+        self.outputs: deque[Output] = deque(maxlen=100_000)
 
     @property
     def output_v(self) -> float:
@@ -132,6 +143,7 @@ class SimulatedBoard:
 
     def create_task(self, name: str) -> str:
         with self._lock:
+            self._check_present()
             self._names += 1
             name = name or f"_unnamedTask<{self._names}>"
             if name in self._tasks:
@@ -193,11 +205,49 @@ class SimulatedBoard:
         """Abort all tasks and put the output to 0 V."""
         self._check_device(device)
         with self._lock:
+            self._check_present()
             self._advance()
             for task in self._tasks.values():
                 task.state = State.STOPPED
-            self._output_v = 0.0
+            self._put_out(0.0)
             self._clock_edges_left = math.inf
+
+    def _put_out(self, volts: float) -> None:
+        if volts != self._output_v:
+            self._output_v = volts
+            self.outputs.append(Output(self.clock.now_ns(), self._produced, volts))
+
+    # --- faults ------------------------------------------------------------------------------------------------------
+
+    def cut_sample_clock(self, after: int) -> None:
+        """`after` samples from now the sample clock ends, until the device is reset."""
+        with self._lock:
+            self._advance()
+            self._clock_edges_left = after
+
+    def be_mute(self, duration_s: float) -> None:
+        """The board is lost for a while: nothing arrives from it, and what is asked of it meets no device."""
+        with self._lock:
+            self._advance()
+            self._mute_until_ns = self.clock.now_ns() + duration_s * 1e9
+
+    def hold_samples(self, duration_s: float) -> None:
+        """Samples are taken but not handed over for a while."""
+        with self._lock:
+            self._late_until_ns = self.clock.now_ns() + duration_s * 1e9
+
+    def fail_next_read(self, code: DAQmxErrors) -> None:
+        """The next read is answered with this error."""
+        with self._lock:
+            self._error = BoardError(code, f"failed with {int(code)}")
+
+    @property
+    def _mute(self) -> bool:
+        return self.clock.now_ns() < self._mute_until_ns
+
+    def _check_present(self) -> None:
+        if self._mute:
+            raise BoardError(DAQmxErrors.DEV_CANNOT_BE_ACCESSED, f"{self._device} cannot be accessed.")
 
     # --- samples -----------------------------------------------------------------------------------------------------
 
@@ -207,11 +257,12 @@ class SimulatedBoard:
             if task.state is not State.RUNNING and not auto_start:
                 code = DAQmxErrors.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING
                 raise BoardError(code, f"Task {name} is not running.")
+            self._check_present()
             low_v, high_v = task.output_range_v
             if not low_v <= volts <= high_v:
                 raise BoardError(DAQmxErrors.INVALID_AO_DATA_WRITE, f"{volts} V is outside {low_v} to {high_v} V.")
             self._advance()  # up to now the old value held
-            self._output_v = volts
+            self._put_out(volts)
 
     def read_analog(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
         """Up to `count` samples per channel, channel after channel, and how many there are: fewer after a time-out."""
@@ -224,21 +275,20 @@ class SimulatedBoard:
         scale, resolution_deg = self.task(name).degrees_per_count, self._encoder_resolution_deg
         return [round(sample[4] / resolution_deg) * scale for sample in samples], len(samples)
 
-    def cut_sample_clock(self, after: int) -> None:
-        """A fault: `after` samples from now the sample clock ends, until the device is reset."""
-        with self._lock:
-            self._advance()
-            self._clock_edges_left = after
-
     def _read(self, name: str, count: int, timeout_s: float) -> list[Sample]:
         with self._lock:
             self._advance()
             task = self._readable(name)
+            if self._error:
+                error, self._error = self._error, None
+                raise error
             wake_ns = min(self._ready_ns(task, count), self.clock.now_ns() + round(timeout_s * 1e9))
         self.clock.sleep_until_ns(wake_ns)  # without the lock: a real board takes an output while a read waits
         with self._lock:
             self._advance()
             samples = self._readable(name).samples
+            if self._mute or self.clock.now_ns() < self._late_until_ns:
+                return []  # a time-out without a sample
             return [samples.popleft() for _ in range(min(count, len(samples)))]
 
     def _readable(self, name: str) -> Task:
@@ -252,6 +302,8 @@ class SimulatedBoard:
     def _ready_ns(self, task: Task, count: int) -> float:
         """When the task will hold `count` samples: never, where its clock does not come."""
         missing = count - len(task.samples)
+        if (silent_until_ns := max(self._mute_until_ns, self._late_until_ns)) > self.clock.now_ns():
+            return silent_until_ns
         if missing <= 0:
             return self.clock.now_ns()
         if not (self._clock_runs and task.armed) or missing > self._clock_edges_left:

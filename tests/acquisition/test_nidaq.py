@@ -177,7 +177,7 @@ def test_a_short_read_ends_the_tool_at_zero_and_counts_what_came(rig: Rig, arriv
         with pytest.raises(ToolError, match=f"only {arrived} of 5 samples .*The motor is at zero"):
             tool.read_block()
         assert rig.board.output_v == 0.0
-        assert rig.clock.now_ns() - waited_from_ns == pytest.approx(1.005e9)
+        assert rig.clock.now_ns() - waited_from_ns == 13e6  # 8 ms after the block is due
 
 
 def test_a_failure_between_the_two_reads_ends_the_tool_at_zero(rig: Rig) -> None:

@@ -1,0 +1,71 @@
+"""The guard: a process of its own that brings the motor to zero when the acquisition falls silent in a run.
+
+A board holds its last output when the process that wrote it hangs, is stopped or dies. The guard needs nobody else: it
+hears the blocks as they are published, and resets the device when they stop coming.
+"""
+
+import time
+from dataclasses import dataclass
+
+import zmq
+
+from acquisition import bus
+from acquisition.nidaq import reset_device
+from acquisition.process import ask_for_realtime, become_worker, calm_garbage_collector
+from acquisition.safety import IN_RUN
+from config.errors import ToolError
+from config.schema import Tool
+
+REALTIME_PRIORITY = 80
+LOOKS_EVERY_MS = 10
+SILENT_LOOKS = 6
+"""So often in a row nothing came: 60 to 70 ms. Counted in looks, as a guard that was held up itself knows nothing."""
+SAYS_EVERY_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """All that the guard needs to know."""
+
+    parent_pid: int
+    endpoints: bus.Endpoints
+    tool: Tool
+
+
+def main(setup: Setup) -> None:
+    """Run until a signal."""
+    stop = become_worker("guard", setup.parent_pid)
+    context = zmq.Context()
+    blocks = bus.subscriber(context, setup.endpoints.samples)
+    publisher = bus.publisher(context, setup.endpoints.guard)
+    calm_garbage_collector()
+    ask_for_realtime(REALTIME_PRIORITY)
+    in_run, silent, said_s = False, 0, 0.0
+    try:
+        while not stop.set:
+            if time.monotonic() - said_s > SAYS_EVERY_S:
+                said_s = time.monotonic()
+                publisher.send_multipart(bus.pack_notice("guarding"))
+            if blocks.poll(LOOKS_EVERY_MS):
+                parts = blocks.recv_multipart()
+                if parts[0] == bus.SAMPLES:
+                    in_run, silent = bus.safety_of(parts) in IN_RUN, 0
+            elif in_run:
+                silent += 1
+                if silent >= SILENT_LOOKS:
+                    in_run = False
+                    publisher.send_multipart(bus.pack_notice("zeroed", text=_zero(setup.tool)))
+    finally:
+        context.destroy(linger=200)
+
+
+def _zero(tool: Tool) -> str:
+    """Reset the device; says what came of it."""
+    begin_s = time.monotonic()
+    try:
+        reset_device(tool)
+    except ToolError as error:
+        return str(error)
+    took_ms = (time.monotonic() - begin_s) * 1e3
+    silent_ms = SILENT_LOOKS * LOOKS_EVERY_MS
+    return f"The acquisition was silent for {silent_ms} ms: the motor is at zero by a reset that took {took_ms:.0f} ms"

@@ -1,0 +1,99 @@
+"""Sensors that fail: a plant between the simulated board and the simulated grasper."""
+
+import math
+import threading
+from collections.abc import Callable
+from enum import StrEnum
+
+import numpy as np
+
+from acquisition.simulation.board import Plant
+from config.schema import Tool
+
+Readings = tuple[float, float, float, float]
+
+SPIKE_V = 3.0
+JUMP_V = -0.25
+NOISE_TIMES = 20.0
+DROP_OUT_V = 0.0
+JUMP_DEG = 60.0
+SLIP_SHARE = 0.3
+"""Of its motion, that a slipping encoder still shows."""
+
+
+class SensorFault(StrEnum):
+    STRAIN_STUCK = "strain gage stuck"
+    STRAIN_SATURATED = "strain gage saturated"
+    STRAIN_SPIKE = "strain gage: one spike"
+    STRAIN_DROP_OUT = "strain gage drops out"
+    STRAIN_JUMP = "strain gage: offset jumps"
+    STRAIN_NOISE = "strain gage: noise x 20"
+    STRAIN_NAN = "strain gage: no number"
+    ENCODER_STUCK = "encoder stuck"
+    ENCODER_SLIPS = "encoder slips"
+    ENCODER_REVERSED = "encoder reversed"
+    ENCODER_JUMP = "encoder jumps"
+
+
+class FaultySensors:
+    """A `Plant` whose sensors are sound until `break_now`, from any thread; `samples` counts, `broken_at` is when."""
+
+    def __init__(self, plant: Plant, tool: Tool, seed: int = 0) -> None:
+        self._plant, self._tool = plant, tool
+        self._chance = np.random.default_rng([seed, 3])
+        self._lock = threading.Lock()
+        self._fault: SensorFault | None = None
+        self._last: Readings = (0.0, 0.0, 0.0, 0.0)
+        self._frozen: Readings = self._last
+        self.samples = 0
+        self.broken_at: int | None = None
+
+    def break_now(self, fault: SensorFault) -> None:
+        """From the next sample on."""
+        self.break_at(fault, self.samples)
+
+    def break_at(self, fault: SensorFault, sample: int) -> None:
+        """From that sample on, counted from 0."""
+        with self._lock:
+            self._fault, self.broken_at = fault, sample
+
+    def mend(self) -> None:
+        with self._lock:
+            self._fault = None
+
+    def step(self, command_v: float) -> Readings:
+        """One sample, as `Plant.step`."""
+        with self._lock:
+            if self.samples == self.broken_at:
+                self._frozen = self._last
+            self._last = self._plant.step(command_v)
+            self.samples += 1
+            is_broken = self._fault is not None and self.broken_at is not None and self.samples > self.broken_at
+            return self._broken(self._last, self._fault) if is_broken else self._last
+
+    def _broken(self, sound: Readings, fault: SensorFault) -> Readings:
+        strain_v, encoder_deg, *touch_v = sound
+        stuck_v, stuck_deg, *_ = self._frozen
+        moved_deg = encoder_deg - stuck_deg
+        noise_v = math.sqrt(NOISE_TIMES**2 - 1.0) * self._tool.noise.strain_sd_v
+        is_first = self.samples - 1 == self.broken_at
+        strain: dict[SensorFault, Callable[[], float]] = {
+            SensorFault.STRAIN_STUCK: lambda: stuck_v,
+            SensorFault.STRAIN_SATURATED: lambda: self._tool.channels.analog_range_v,
+            SensorFault.STRAIN_SPIKE: lambda: strain_v + SPIKE_V if is_first else strain_v,
+            SensorFault.STRAIN_DROP_OUT: lambda: DROP_OUT_V,
+            SensorFault.STRAIN_JUMP: lambda: strain_v + JUMP_V,
+            SensorFault.STRAIN_NOISE: lambda: strain_v + noise_v * float(self._chance.standard_normal()),
+            SensorFault.STRAIN_NAN: lambda: math.nan,
+        }
+        encoder: dict[SensorFault, Callable[[], float]] = {
+            SensorFault.ENCODER_STUCK: lambda: stuck_deg,
+            SensorFault.ENCODER_SLIPS: lambda: stuck_deg + SLIP_SHARE * moved_deg,
+            SensorFault.ENCODER_REVERSED: lambda: stuck_deg - moved_deg,
+            SensorFault.ENCODER_JUMP: lambda: encoder_deg + JUMP_DEG,
+        }
+        if fault in strain:
+            strain_v = strain[fault]()
+        else:
+            encoder_deg = encoder[fault]()
+        return strain_v, encoder_deg, touch_v[0], touch_v[1]

@@ -1,0 +1,88 @@
+"""A board that fails: samples that stop, errors, the force that passes what is allowed."""
+
+import pytest
+from faulty import AT, LIBRARY, PROTOCOL, SETTINGS, TOOL, Bench, Moment
+from nidaqmx.error_codes import DAQmxErrors
+from simulation import WatchedGrasper
+
+from acquisition.control import Acquisition
+from acquisition.limiter import HoldBack
+from acquisition.nidaq import NidaqTool
+from acquisition.safety import Safety
+from acquisition.simulation.board import SimulatedBoard, VirtualClock
+from acquisition.simulation.service import in_process_options
+
+FLOOR_MS = 15.0
+
+
+@pytest.mark.parametrize("after", range(6))
+@pytest.mark.parametrize("moment", [Moment.RAMP, Moment.HOLD, Moment.RELEASE])
+def test_samples_that_stop_bring_the_motor_to_zero_within_15_ms(moment, after, reactions):
+    bench = Bench().play(until=AT[moment])
+    bench.board.cut_sample_clock(after)
+    cut_ns = bench.board.clock.now_ns() + after * 1_000_000
+    bench.play()
+    assert "in time" in str(bench.error)
+    assert bench.board.output_v == 0.0
+    took_ms = (bench.board.outputs[-1].at_ns - cut_ns) / 1e6
+    reactions.add("board: samples stop", moment, took_ms, FLOOR_MS)
+    assert took_ms <= FLOOR_MS
+
+
+@pytest.mark.parametrize(
+    "code", [DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE, DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE], ids=["-200279", "-200284"]
+)
+def test_an_error_of_the_board_brings_the_motor_to_zero_with_that_read(code, reactions):
+    bench = Bench().play(until=AT[Moment.HOLD])
+    bench.board.fail_next_read(code)
+    failed_ns = bench.board.clock.now_ns()
+    bench.play()
+    assert bench.board.output_v == 0.0
+    took_ms = (bench.board.outputs[-1].at_ns - failed_ns) / 1e6
+    reactions.add(f"board: error {int(code)}", Moment.HOLD, took_ms, FLOOR_MS)
+    assert took_ms <= FLOOR_MS
+    assert "The motor is at zero" in str(bench.error)
+
+
+@pytest.mark.parametrize("lost_s", [0.05, 2.0])
+def test_a_board_that_is_gone_is_told_with_what_to_do_by_hand(lost_s):
+    bench = Bench().play(until=AT[Moment.HOLD])
+    bench.board.be_mute(lost_s)
+    bench.play()
+    assert "switch off the motor's amplifier NOW" in str(bench.error)
+    assert bench.board.output_v > 0  # nothing can be written to a board that is not there
+
+
+def test_samples_that_come_late_are_none_that_the_motor_moves_on(reactions):
+    """The board delivers nothing for 50 ms, and takes commands all the while."""
+    bench = Bench().play(until=AT[Moment.HOLD])
+    bench.board.hold_samples(0.05)
+    late_ns = bench.board.clock.now_ns()
+    bench.play()
+    assert bench.board.output_v == 0.0
+    took_ms = (bench.board.outputs[-1].at_ns - late_ns) / 1e6
+    reactions.add("board: samples 50 ms late", Moment.HOLD, took_ms, FLOOR_MS)
+    assert took_ms <= FLOOR_MS
+
+
+@pytest.mark.parametrize(
+    ("ceiling_n", "over_n"), [(1.2, 1.2), (6.0, LIBRARY.lowest_threshold_n)], ids=["ceiling", "injury threshold"]
+)
+def test_a_force_that_is_too_large_is_let_go_within_15_ms(ceiling_n, over_n, request, reactions):
+    """A tool eight times as strong as its map tells passes any limit before it is known to be."""
+    mapping = TOOL.command_to_force
+    eightfold = tuple(8.0 * force_n for force_n in mapping.force_n)
+    true = TOOL.model_copy(update={"command_to_force": mapping.model_copy(update={"force_n": eightfold})})
+    tool = TOOL.model_copy(update={"limits": TOOL.limits.model_copy(update={"force_ceiling_n": ceiling_n})})
+    grasper = WatchedGrasper(true, LIBRARY, "gallbladder", seed=1)
+    board = SimulatedBoard(tool, grasper, VirtualClock())
+    with NidaqTool(tool, in_process_options(board), board.clock.now_ns) as source:
+        hold_back = HoldBack(tool, LIBRARY, SETTINGS.limiter)
+        acquisition = Acquisition(source, tool, SETTINGS.conditioning, hold_back, Safety.ARMED)
+        acquisition.start("run", PROTOCOL, 1)
+        while acquisition.running:
+            acquisition.turn()
+    over = next(sample for sample, force_n in enumerate(grasper.forces_n) if force_n > over_n)
+    zero = next(output.sample for output in board.outputs if output.volts == 0.0 and output.sample > over)
+    reactions.add(f"force over the {request.node.callspec.id}", Moment.RAMP, zero - over, FLOOR_MS)
+    assert zero - over <= FLOOR_MS

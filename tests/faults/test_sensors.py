@@ -1,0 +1,143 @@
+"""Broken sensors at every moment of a grasp: the motor is at zero in time, and no wrong tissue is named."""
+
+from itertools import product
+
+import pytest
+from faulty import AT, CYCLE, LEAD_IN, PROTOCOL, TOOL, Bench, Moment
+
+from acquisition.safety import Safety
+from acquisition.simulation.faults import SensorFault
+from config.errors import RefusedError
+
+FLOOR = 15
+LOST = {
+    SensorFault.STRAIN_STUCK: "stuck",
+    SensorFault.STRAIN_SATURATED: "saturated|jumped",
+    SensorFault.STRAIN_DROP_OUT: "jumped|stuck|below its rest",
+    SensorFault.STRAIN_JUMP: "jumped|below its rest",
+    SensorFault.STRAIN_NOISE: "scatters|jumped|below its rest",
+    SensorFault.STRAIN_NAN: "gives no number",
+    SensorFault.ENCODER_JUMP: "encoder jumped",
+}
+
+
+@pytest.mark.parametrize("moment", [Moment.RAMP, Moment.HOLD, Moment.RELEASE])
+@pytest.mark.parametrize("fault", LOST, ids=str)
+def test_a_lost_signal_brings_the_motor_to_zero_within_15_ms_of_its_first_sample(fault, moment, reactions):
+    for tissue, offset in product(("liver", "bladder"), range(TOOL.board.block_samples)):
+        bench = Bench(tissue).play(until=AT[moment])
+        assert bench.board.output_v > 0
+        bench.sensors.break_at(fault, AT[moment] + offset)
+        bench.play()
+        [ended] = bench.ended
+        assert any(word in ended.why for word in LOST[fault].split("|")), ended.why
+        assert bench.acquisition.safety is Safety.FAULTED
+        took = bench.zero_at - bench.sensors.broken_at
+        reactions.add(fault, moment, took, FLOOR)
+        assert 0 < took <= FLOOR
+        assert bench.labels <= {tissue, "undecided", "unknown"}
+
+
+@pytest.mark.parametrize("fault", [SensorFault.ENCODER_STUCK, SensorFault.ENCODER_REVERSED], ids=str)
+def test_an_encoder_that_breaks_at_rest_ends_the_run_as_soon_as_the_jaws_move(fault, reactions):
+    """Nothing tells a still encoder from still jaws before the force changes by 0.3 N under it."""
+    for tissue in ("liver", "bladder"):
+        bench = Bench(tissue).play(until=AT[Moment.LEAD_IN])
+        bench.sensors.break_now(fault)
+        bench.play()
+        [ended] = bench.ended
+        assert "encoder" in ended.why
+        took = bench.zero_at - LEAD_IN
+        reactions.add(fault, "from the command on", took, 150)
+        assert took <= 150
+        assert bench.labels <= {tissue, "undecided", "unknown"}
+
+
+@pytest.mark.parametrize("fault", [SensorFault.ENCODER_STUCK, SensorFault.ENCODER_REVERSED], ids=str)
+@pytest.mark.parametrize("moment", [Moment.RAMP, Moment.HOLD, Moment.RELEASE])
+def test_an_encoder_that_breaks_in_a_grasp_names_nothing_wrong_and_ends_the_run_by_the_next(fault, moment, reactions):
+    for tissue in ("liver", "bladder"):
+        bench = Bench(tissue).play(until=AT[moment])
+        bench.sensors.break_now(fault)
+        bench.play()
+        [ended] = bench.ended
+        assert "encoder" in ended.why
+        took = bench.zero_at - bench.sensors.broken_at
+        reactions.add(fault, moment, took, CYCLE + 100)
+        assert took <= CYCLE + 100
+        assert bench.labels <= {tissue, "undecided", "unknown"}
+
+
+@pytest.mark.parametrize("moment", [Moment.RAMP, Moment.HOLD])
+def test_a_slipping_encoder_names_nothing_wrong_and_the_force_stays_under_the_lowest_limit(moment):
+    for tissue in ("liver", "bladder"):
+        bench = Bench(tissue, cycles=2).play(until=AT[moment])
+        bench.sensors.break_now(SensorFault.ENCODER_SLIPS)
+        bench.play()
+        assert {grasp.label for grasp in bench.grasps} <= {tissue, "undecided", "unknown"}
+
+
+@pytest.mark.parametrize("moment", list(Moment))
+def test_a_spike_of_one_sample_ends_nothing(moment):
+    bench = Bench("bladder", cycles=2).play(until=AT[moment])
+    bench.sensors.break_now(SensorFault.STRAIN_SPIKE)
+    bench.play()
+    [ended] = bench.ended
+    assert ended.end.value == "finished"
+    assert {grasp.label for grasp in bench.grasps} <= {"bladder", "undecided", "unknown"}
+
+
+@pytest.mark.parametrize("fault", LOST, ids=str)
+def test_a_sensor_that_breaks_before_the_grasp_keeps_the_motor_at_zero(fault):
+    bench = Bench("bladder").play(until=AT[Moment.LEAD_IN])
+    bench.sensors.break_now(fault)
+    bench.play()
+    [ended] = bench.ended
+    assert ended.end.value == "failed"
+    assert not bench.board.outputs
+
+
+@pytest.mark.parametrize("fault", [*LOST, SensorFault.ENCODER_STUCK], ids=str)
+def test_after_a_fault_nothing_moves_until_it_is_acknowledged_and_a_broken_tool_cannot_be_armed(fault):
+    bench = Bench("bladder").play(until=AT[Moment.HOLD])
+    bench.sensors.break_now(fault)
+    bench.play()
+    acquisition = bench.acquisition
+    for refused in (acquisition.arm, lambda: acquisition.start("again", PROTOCOL, 1)):
+        with pytest.raises(RefusedError, match="acknowledge it first"):
+            refused()
+    acquisition.stop("asked")
+    acquisition.disarm()
+    assert acquisition.safety is Safety.FAULTED
+    acquisition.acknowledge()
+    assert acquisition.safety is Safety.DISARMED
+    bench.sensors.mend()
+    bench.rest(60)  # the jaws open
+    acquisition.arm()
+    bench.rest(100)
+    assert acquisition.safety is Safety.ARMED
+
+
+@pytest.mark.parametrize(
+    ("fault", "why"),
+    [
+        (SensorFault.STRAIN_STUCK, "scatters by 0.00 mV"),
+        (SensorFault.STRAIN_SATURATED, "rests at 10.000 V"),
+        (SensorFault.STRAIN_DROP_OUT, "rests at 0.000 V"),
+        (SensorFault.STRAIN_JUMP, "rests at 0.5"),
+        (SensorFault.STRAIN_NOISE, "scatters by"),
+        (SensorFault.STRAIN_NAN, "no number"),
+    ],
+    ids=str,
+)
+def test_the_self_test_refuses_to_arm_a_broken_tool_and_says_why(fault, why):
+    bench = Bench("bladder").play(until=50)
+    bench.acquisition.disarm()
+    assert bench.acquisition.safety is Safety.DISARMED
+    bench.sensors.break_now(fault)
+    bench.acquisition.arm()
+    bench.rest(100)
+    assert bench.acquisition.safety is Safety.TESTING
+    bench.rest(150)
+    assert bench.acquisition.safety is Safety.DISARMED
+    assert why in bench.acquisition.why

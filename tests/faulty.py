@@ -1,0 +1,103 @@
+"""A grasp in virtual time on a board whose sensors can be broken, with the estimator behind it."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from acquisition.control import Acquisition, RunEnded
+from acquisition.limiter import HoldBack
+from acquisition.nidaq import NidaqTool
+from acquisition.safety import Safety
+from acquisition.simulation.board import SimulatedBoard, VirtualClock
+from acquisition.simulation.faults import FaultySensors
+from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.simulation.service import in_process_options
+from config.errors import ToolError
+from config.load import load_library, load_protocol, load_settings, load_tool
+from estimator.blocks import GraspRecord
+from estimator.session import EstimationSession
+from estimator.worker import limit_of
+
+TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
+PROTOCOL = load_protocol("trapezoid_2hz")
+RATE_HZ = TOOL.board.sample_rate_hz
+CYCLE = round(PROTOCOL.waveform.cycle_s * RATE_HZ)
+LEAD_IN = round(PROTOCOL.lead_in_s * RATE_HZ)
+
+
+class Moment(StrEnum):
+    """Where in a grasp something goes wrong; samples of the 2 Hz trapezoid: 125 ms up, 250 ms hold, 125 ms down."""
+
+    LEAD_IN = "lead-in"
+    RAMP = "ramp"
+    HOLD = "hold"
+    RELEASE = "release"
+    REST = "rest"
+
+
+AT = {
+    Moment.LEAD_IN: LEAD_IN - 50,
+    Moment.RAMP: LEAD_IN + 100,
+    Moment.HOLD: LEAD_IN + 250,
+    Moment.RELEASE: LEAD_IN + 430,
+    Moment.REST: LEAD_IN + 700,
+}
+
+
+@dataclass
+class Bench:
+    """`samples` are those that were published; `grasps` what was made of them."""
+
+    tissue: str = "bladder"
+    seed: int = 1
+    cycles: int = 3
+    samples: list[np.ndarray] = field(default_factory=list)
+    grasps: list[GraspRecord] = field(default_factory=list)
+    labels: set[str] = field(default_factory=set)
+    ended: list[RunEnded] = field(default_factory=list)
+    error: ToolError | None = None
+
+    def __post_init__(self) -> None:
+        grasper = SimulatedGrasper(TOOL, LIBRARY, self.tissue, self.seed)
+        self.sensors = FaultySensors(grasper, TOOL)
+        self.board = SimulatedBoard(TOOL, self.sensors, VirtualClock())
+        self.source = NidaqTool(TOOL, in_process_options(self.board), self.board.clock.now_ns)
+        hold_back = HoldBack(TOOL, LIBRARY, SETTINGS.limiter)
+        self.acquisition = Acquisition(self.source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
+        self.session = EstimationSession(TOOL, LIBRARY, SETTINGS)
+
+    def play(self, until: int | None = None) -> "Bench":
+        """Go on until that many samples were taken, or the run's end, or the board's."""
+        if not self.acquisition.running and not self.samples:
+            self.source.__enter__()
+            self.acquisition.start("run", PROTOCOL, self.cycles)
+        while self.acquisition.running and not (until and self.sensors.samples >= until):
+            try:
+                self._turn()
+            except ToolError as error:
+                self.error = error
+                break
+        self.ended += self.acquisition.take_ended()
+        return self
+
+    def rest(self, blocks: int) -> "Bench":
+        """Go on without a run."""
+        for _ in range(blocks):
+            self._turn()
+        return self
+
+    def _turn(self) -> None:
+        block = self.acquisition.turn()
+        self.samples.append(block.samples)
+        estimate = self.session.process(block)
+        limit = limit_of(estimate.identification)
+        self.acquisition.allow(limit.threshold_n, limit.tick)
+        self.labels.add(estimate.identification.label)
+        self.grasps += estimate.ended
+
+    @property
+    def zero_at(self) -> int:
+        """The sample from which on the motor command has been zero."""
+        assert self.board.output_v == 0.0
+        return self.board.outputs[-1].sample if self.board.outputs else 0
