@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import zmq
 
 from acquisition import bus
-from acquisition.nidaq import reset_device
-from acquisition.process import ask_for_realtime, become_worker, calm_garbage_collector
+from acquisition.nidaq import check_driver, reset_device
+from acquisition.process import ask_for_realtime, become_worker, bound_memory, calm_garbage_collector
 from acquisition.safety import IN_RUN
 from config.errors import ToolError
 from config.schema import Tool
@@ -20,7 +20,7 @@ REALTIME_PRIORITY = 80
 LOOKS_EVERY_MS = 10
 SILENT_LOOKS = 6
 """So often in a row nothing came: 60 to 70 ms. Counted in looks, as a guard that was held up itself knows nothing."""
-SAYS_EVERY_S = 0.5
+SAYS_EVERY_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +35,11 @@ class Setup:
 def main(setup: Setup) -> None:
     """Run until a signal."""
     stop = become_worker("guard", setup.parent_pid)
+    bound_memory()
     context = zmq.Context()
     blocks = bus.subscriber(context, setup.endpoints.samples)
     publisher = bus.publisher(context, setup.endpoints.guard)
+    check_driver(setup.tool)  # and with it connect, so that a reset is quick
     calm_garbage_collector()
     ask_for_realtime(REALTIME_PRIORITY)
     in_run, silent, said_s = False, 0, 0.0

@@ -1,6 +1,7 @@
 """The grasper behind an NI board, through NI's own package: the same code for the real board and the simulated one."""
 
 import contextlib
+import functools
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -26,6 +27,7 @@ _BOARD_ERRORS = (DaqBaseError, OSError)
 
 _PATIENCE_S = 0.008  # beyond the duration of a block: without samples nobody knows the force
 _WRITE_TIMEOUT_S = 1.0
+_CHANNEL = (("grpc.max_reconnect_backoff_ms", 200), ("grpc.initial_reconnect_backoff_ms", 50))
 
 _IN_USE = "Another program uses {device}: close it, then start again."
 _ADVICE = {
@@ -238,7 +240,13 @@ class NidaqTool:
 def session_options(tool: Tool) -> nidaqmx.GrpcSessionOptions | None:
     """How the tool's board is reached: through the server that its file names, or (None) the installed driver."""
     address = tool.board.grpc_address
-    return nidaqmx.GrpcSessionOptions(grpc.insecure_channel(address), "") if address else None
+    return nidaqmx.GrpcSessionOptions(_channel_to(address), "") if address else None
+
+
+@functools.cache
+def _channel_to(address: str) -> grpc.Channel:
+    """Connected once: whoever has to reset a board has no time for that."""
+    return grpc.insecure_channel(address, options=_CHANNEL)
 
 
 def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> None:

@@ -3,11 +3,14 @@
 import ctypes
 import gc
 import os
+import resource
 import signal
 from types import FrameType
 
 PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
+MOST_MEMORY_BYTES = 2 << 30
+"""Of one worker, four times what the largest takes: one that wants more ends, and not the machine's others with it."""
 
 
 class StopFlag:
@@ -31,6 +34,13 @@ def become_worker(name: str, parent_pid: int) -> StopFlag:
     if os.getppid() != parent_pid:  # the parent died before the line above
         flag.set = True
     return flag
+
+
+def bound_memory() -> None:
+    """From here on more memory than any worker needs is refused to this process."""
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    least = MOST_MEMORY_BYTES if most == resource.RLIM_INFINITY else min(MOST_MEMORY_BYTES, most)
+    resource.setrlimit(resource.RLIMIT_DATA, (least, most))
 
 
 def calm_garbage_collector() -> None:

@@ -8,7 +8,7 @@ import zmq
 from acquisition import bus
 from acquisition.control import Acquisition
 from acquisition.limiter import HoldBack
-from acquisition.process import StopFlag, ask_for_realtime, become_worker, calm_garbage_collector
+from acquisition.process import StopFlag, ask_for_realtime, become_worker, bound_memory, calm_garbage_collector
 from acquisition.safety import Safety
 from acquisition.tools import open_tool
 from config.errors import GraspwatchError, RefusedError
@@ -35,6 +35,7 @@ class Setup:
 def main(setup: Setup) -> None:
     """Run until a signal or a fault; exits with an error's code after telling it."""
     stop = become_worker("acquisition", setup.parent_pid)
+    bound_memory()
     context = zmq.Context()
     publisher = bus.publisher(context, setup.endpoints.samples)
     try:

@@ -9,7 +9,7 @@ import numpy as np
 import zmq
 
 from acquisition import bus
-from acquisition.process import ask_for_realtime, become_worker, calm_garbage_collector
+from acquisition.process import ask_for_realtime, become_worker, bound_memory, calm_garbage_collector
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.alarms import ForceAlarm
 from estimator.bank import Contact
@@ -34,6 +34,7 @@ class Setup:
 def main(setup: Setup) -> None:
     """Run until a signal. Says when its filters are compiled and ready."""
     stop = become_worker("estimator", setup.parent_pid)
+    bound_memory()
     context = zmq.Context()
     samples = bus.subscriber(context, setup.endpoints.samples)
     publisher = bus.publisher(context, setup.endpoints.estimates)

@@ -10,7 +10,7 @@ import numpy as np
 import zmq
 
 from acquisition import bus
-from acquisition.process import StopFlag, become_worker
+from acquisition.process import StopFlag, become_worker, bound_memory
 from app.record.mend import mend_folder
 from app.record.recorder import Brief, Estimated, Recorder, RecordingStoppedError
 from app.record.run_file import Rig
@@ -34,12 +34,13 @@ class Setup:
 def main(setup: Setup) -> None:
     """Run until a signal; first mends what a predecessor left cut off."""
     stop = become_worker("recorder", setup.parent_pid)
+    bound_memory()
     os.nice(NICENESS)
     context = zmq.Context()
     publisher = bus.publisher(context, setup.endpoints.recorder)
     sources = bus.subscriber(context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events)
     _Work(setup, publisher).follow(sources, stop)
-    context.destroy(linger=500)
+    context.destroy(linger=100)
 
 
 class _Work:

@@ -1,0 +1,97 @@
+"""A simulated board in a process of its own over TCP: like the real one it outlives whoever uses it."""
+
+import multiprocessing
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from acquisition.process import ask_for_realtime, calm_garbage_collector
+from acquisition.simulation.board import Output, RealClock, SimulatedBoard
+from acquisition.simulation.faults import FaultySensors, SensorFault
+from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.simulation.service import serve_tcp
+from config.load import CONFIG_DIR, load_library, load_tool
+
+REALTIME_PRIORITY = 90  # a real board is late for nobody
+
+
+def _serve(tissue: str, seed: int, line: Connection) -> None:
+    tool = load_tool("simulated")
+    sensors = FaultySensors(SimulatedGrasper(tool, load_library("porcine"), tissue, seed), tool)
+    board = SimulatedBoard(tool, sensors, RealClock())
+    server, port = serve_tcp(board)
+    ask_for_realtime(REALTIME_PRIORITY)
+    calm_garbage_collector()
+    answers: dict[str, Callable[..., Any]] = {
+        "output_v": lambda: board.output_v,
+        "last_output": lambda: board.outputs[-1] if board.outputs else Output(0, 0, 0.0),
+        "break": sensors.break_now,
+        "mend": sensors.mend,
+        "be_mute": board.be_mute,
+        "hold_samples": board.hold_samples,
+        "cut_sample_clock": board.cut_sample_clock,
+        "fail_next_read": board.fail_next_read,
+    }
+    line.send(port)
+    while question := line.recv():
+        name, *arguments = question
+        line.send((answers[name](*arguments), time.monotonic_ns()))
+    server.stop(0.2).wait()
+
+
+class ServedBoard:
+    """`tool_file` is that of a tool on a real board, reached through this one's address."""
+
+    def __init__(self, folder: Path, tissue: str = "bladder", seed: int = 1) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._line, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(tissue, seed, theirs), daemon=True)
+        self.tool_file = folder / "served.toml"
+
+    def __enter__(self) -> Self:
+        self._process.start()
+        port = self._line.recv()
+        text = (CONFIG_DIR / "tools/simulated.toml").read_text()
+        text = text.replace('kind = "simulated"', 'kind = "nidaq"', 1)
+        self.tool_file.write_text(text.replace("[board]\n", f'[board]\ngrpc_address = "127.0.0.1:{port}"\n', 1))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._line.send(None)
+        self._process.join(5)
+        self._process.kill()
+
+    def _ask(self, *question: Any) -> tuple[Any, int]:
+        self._line.send(question)
+        return self._line.recv()
+
+    def tell(self, *question: Any) -> int:
+        """Have a method of the board or its sensors called; when that was, ns of the monotonic clock."""
+        return self._ask(*question)[1]
+
+    def break_now(self, fault: SensorFault) -> int:
+        return self.tell("break", fault)
+
+    @property
+    def output_v(self) -> float:
+        return self._ask("output_v")[0]
+
+    def wait_for_force(self, timeout_s: float = 10.0) -> None:
+        """Until the motor is driven, in the midst of a grasp."""
+        deadline = time.monotonic() + timeout_s
+        while self.output_v < 1.0:
+            assert time.monotonic() < deadline, "the motor was never driven"
+            time.sleep(0.005)
+
+    def zero_after_ms(self, since_ns: int, timeout_s: float = 5.0) -> float:
+        """How long after `since_ns` of the monotonic clock the motor output was at zero for good, ms."""
+        deadline = time.monotonic() + timeout_s
+        while self.output_v != 0.0:
+            assert time.monotonic() < deadline, f"the motor is still driven with {self.output_v} V"
+            time.sleep(0.005)
+        return max(0.0, (self._ask("last_output")[0].at_ns - since_ns) / 1e6)

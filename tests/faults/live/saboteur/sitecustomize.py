@@ -1,0 +1,17 @@
+"""Put into every process of a service under test by PYTHONPATH: signals on which its main thread fails from inside."""
+
+import signal
+
+
+def fail(number, frame):
+    raise RuntimeError("sabotage")
+
+
+def hog(number, frame):
+    kept = []
+    while True:
+        kept.append(bytearray(b"x") * (64 << 20))
+
+
+signal.signal(signal.SIGUSR1, fail)
+signal.signal(signal.SIGUSR2, hog)

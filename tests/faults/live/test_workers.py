@@ -1,0 +1,83 @@
+"""Workers that die, hang, fail or take all memory, in the midst of a grasp on a board that outlives them."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from boards import ServedBoard
+from service import Listener, Service, until
+
+SABOTEUR = Path(__file__).with_name("saboteur")
+ZERO_MS, ALARM_S = 100.0, 0.5
+SIGNALS = {
+    "kill -9": signal.SIGKILL,
+    "stopped": signal.SIGSTOP,
+    "exception": signal.SIGUSR1,
+    "memory hog": signal.SIGUSR2,
+}
+SLOW = {("recorder", "stopped"), ("recorder", "memory hog")}
+"""A disk may take its time: a recorder that hangs is told after two seconds; what eats memory is dead once it has."""
+LONG = {"protocol": "trapezoid_025hz", "cycles": 20}
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    with ServedBoard(tmp_path_factory.mktemp("board")) as served:
+        yield served
+
+
+@pytest.fixture
+def service(board, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(SABOTEUR))
+    with Service("serve", "--tool", str(board.tool_file)) as running:
+        until(lambda: running.http.get("/api/health").json()["workers"]["guard"] == "running")
+        yield running
+
+
+def start(service, board):
+    run = service.run(**LONG)
+    board.wait_for_force()
+    time.sleep(0.2)
+    return run
+
+
+@pytest.mark.parametrize("how", SIGNALS)
+def test_an_acquisition_that_is_lost_leaves_the_motor_at_zero_within_100_ms(service, board, how, reactions):
+    with Listener(service) as listener:
+        run = start(service, board)
+        pid = service.worker("acquisition")
+        struck_ns = time.monotonic_ns()
+        os.kill(pid, SIGNALS[how])
+        took_ms = board.zero_after_ms(struck_ns)
+        reactions.add(f"acquisition: {how}", "hold", took_ms, ZERO_MS)
+        told_s = listener.listen(lambda: any(a["priority"] == "high" for a in listener.of("alarm")))
+        reactions.add(f"acquisition: {how}: alarm", "hold", told_s * 1e3, ALARM_S * 1e3)
+    assert took_ms <= ZERO_MS
+    assert told_s <= ALARM_S
+    assert service.finished(run["id"])["state"] == "failed"
+    until(lambda: not os.path.exists(f"/proc/{pid}") and service.ready())
+    assert board.output_v == 0.0
+    assert service.http.post("/api/runs", json=LONG).status_code == 409
+    service.acknowledge_fault()
+    start(service, board)  # it grasps again
+    service.http.post("/api/stop")
+    assert board.output_v == 0.0
+
+
+@pytest.mark.parametrize("how", SIGNALS)
+@pytest.mark.parametrize("worker", ["estimator", "recorder", "guard"])
+def test_any_other_worker_that_is_lost_is_told_and_the_grasp_goes_on(service, board, worker, how, reactions):
+    with Listener(service) as listener:
+        run = start(service, board)
+        os.kill(service.worker(worker), SIGNALS[how])
+        floor_s = 2.5 if (worker, how) in SLOW else ALARM_S
+        texts = (worker, "estimates")
+        told_s = listener.listen(lambda: any(text in a["text"] for a in listener.of("alarm") for text in texts))
+        reactions.add(f"{worker}: {how}: alarm", "hold", told_s * 1e3, floor_s * 1e3)
+        assert told_s <= floor_s
+    assert board.output_v > 0.0
+    assert service.http.get(f"/api/runs/{run['id']}").json()["state"] == "running"
+    service.http.post("/api/stop")
+    assert board.output_v == 0.0
