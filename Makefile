@@ -1,5 +1,5 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test bench dashboard figures screenshots wire lock clean
+.PHONY: run test bench safety soak dashboard figures screenshots wire lock clean
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
@@ -16,11 +16,21 @@ run: $(VENV)/.installed app/static/index.html ## start with the simulated graspe
 test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/estimator
-	$(BIN)/python -m pytest tests/browser tests/end_to_end  # live tools: one at a time
+	$(BIN)/python -m pytest -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/estimator \
+		tests/faults --ignore tests/faults/live
+	$(BIN)/python -m pytest tests/browser tests/end_to_end tests/faults/live  # live tools: one at a time
 
 bench: $(VENV)/.installed app/static/index.html ## measure; prints the table, writes bench.json
 	$(BIN)/python -m tests.benchmarks
+
+safety: $(VENV)/.installed app/static/index.html ## inject all faults, write docs/safety.md from what was measured
+	@mkdir -p build && rm -f build/reactions.jsonl
+	$(BIN)/python -m pytest tests/faults --reactions build/reactions.jsonl
+	$(BIN)/python docs/safety.py build/reactions.jsonl
+
+SOAK_MINUTES ?= 60
+soak: $(VENV)/.installed ## random faults for an hour (SOAK_MINUTES=10 for less); ends with an error at any violation
+	$(BIN)/python -m tests.soak --minutes $(SOAK_MINUTES)
 
 dashboard: app/static/index.html ## build the dashboard
 

@@ -92,18 +92,24 @@ def unpack_notice(parts: list[bytes]) -> dict[str, Any]:
 
 
 class SequenceCounter:
-    """Counts blocks that never arrived."""
+    """Counts blocks that never arrived, or came after later ones and are of no use any more."""
 
     def __init__(self) -> None:
         self._last: int | None = None
+        self._last_ns = 0
         self.missing = 0
+
+    def is_out_of_turn(self, block: SampleBlock) -> bool:
+        """True if a later block came before it, which counted it as missing; those of a restarted sender are newer."""
+        return self._last is not None and block.sequence <= self._last and block.t_mono_ns <= self._last_ns
 
     def begins_anew(self, sequence: int) -> bool:
         """True if the sender was restarted: its blocks are counted from the beginning again."""
         return self._last is not None and sequence <= self._last
 
-    def take(self, sequence: int) -> int:
-        """Count and return the blocks missing between the last one and this one."""
+    def take(self, sequence: int, t_mono_ns: int = 0) -> int:
+        """Count and return the blocks missing between the last one and this one, published at `t_mono_ns`."""
+        self._last_ns = t_mono_ns
         missing = 0
         if self._last is not None and not self.begins_anew(sequence):
             missing = sequence - self._last - 1

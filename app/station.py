@@ -218,13 +218,15 @@ class Station:
             self.supervisor.runs("acquisition")
             self.alarms.end("motor")  # who opens the board writes zero first
             self.tell_state()
+        if self._samples.is_out_of_turn(block):
+            return
         if self._samples.begins_anew(block.sequence):
             self._joiner.begin_anew()
             self._forget_grasp()
             self.runs.ticks_begin_anew()
         if self.arming.follow(block):
             self.tell_state()
-        missing = self._samples.take(block.sequence)
+        missing = self._samples.take(block.sequence, block.t_mono_ns)
         self._last_tick = int(block.samples["tick"][-1])
         self.watchdog.heard("acquisition")
         self._rate.append((time.monotonic(), len(block.samples)))

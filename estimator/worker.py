@@ -57,9 +57,11 @@ def main(setup: Setup) -> None:
             if parts[0] != bus.SAMPLES:
                 continue
             block = bus.unpack_samples(parts)
+            if counter.is_out_of_turn(block):
+                continue
             if counter.begins_anew(block.sequence):
                 session = EstimationSession(setup.tool, setup.library, setup.settings)
-            counter.take(block.sequence)
+            counter.take(block.sequence, block.t_mono_ns)
             estimate = session.process(block)
             limits.send(bus.pack_limit(limit_of(estimate.identification)))  # first: somebody waits for it
             publisher.send_multipart(pack_estimates(estimate, counter.missing))

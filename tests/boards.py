@@ -18,9 +18,21 @@ from config.load import CONFIG_DIR, load_library, load_tool
 REALTIME_PRIORITY = 90  # a real board is late for nobody
 
 
+class PeakGrasper(SimulatedGrasper):
+    """Keeps the highest true jaw force, N."""
+
+    peak_n = 0.0
+
+    def step(self, command_v: float) -> tuple[float, float, float, float]:
+        readings = super().step(command_v)
+        self.peak_n = max(self.peak_n, self.force_n)
+        return readings
+
+
 def _serve(tissue: str, seed: int, line: Connection) -> None:
     tool = load_tool("simulated")
-    sensors = FaultySensors(SimulatedGrasper(tool, load_library("porcine"), tissue, seed), tool)
+    grasper = PeakGrasper(tool, load_library("porcine"), tissue, seed)
+    sensors = FaultySensors(grasper, tool)
     board = SimulatedBoard(tool, sensors, RealClock())
     server, port = serve_tcp(board)
     ask_for_realtime(REALTIME_PRIORITY)
@@ -28,6 +40,7 @@ def _serve(tissue: str, seed: int, line: Connection) -> None:
     answers: dict[str, Callable[..., Any]] = {
         "output_v": lambda: board.output_v,
         "last_output": lambda: board.outputs[-1] if board.outputs else Output(0, 0, 0.0),
+        "peak_force_n": lambda: grasper.peak_n,
         "break": sensors.break_now,
         "mend": sensors.mend,
         "be_mute": board.be_mute,
@@ -80,6 +93,11 @@ class ServedBoard:
     @property
     def output_v(self) -> float:
         return self._ask("output_v")[0]
+
+    @property
+    def peak_force_n(self) -> float:
+        """Highest true jaw force so far."""
+        return self._ask("peak_force_n")[0]
 
     def wait_for_force(self, timeout_s: float = 10.0) -> None:
         """Until the motor is driven, in the midst of a grasp."""

@@ -78,9 +78,11 @@ class _Work:
         match parts[0]:
             case bus.SAMPLES:
                 block = bus.unpack_samples(parts)
+                if self._samples.is_out_of_turn(block):
+                    return
                 if self._samples.begins_anew(block.sequence):
                     self._samples = bus.SequenceCounter()
-                self._samples.take(block.sequence)
+                self._samples.take(block.sequence, block.t_mono_ns)
                 self._recorder.take_samples(block)
             case bus.ESTIMATES:
                 header = json.loads(parts[1])

@@ -1,0 +1,118 @@
+"""Blocks that are dropped, late or out of order on their way to a real estimator process."""
+
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+import zmq
+from faulty import LIBRARY, PROTOCOL, SETTINGS, TOOL
+
+from acquisition import bus
+from acquisition.blocks import SampleBlock
+from acquisition.control import Acquisition
+from acquisition.nidaq import NidaqTool
+from acquisition.safety import Safety
+from acquisition.simulation.board import SimulatedBoard, VirtualClock
+from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.simulation.service import in_process_options
+from estimator import worker as estimator_worker
+from estimator.worker import ReceivedEstimates, unpack_estimates
+
+TISSUE = "gallbladder"
+
+
+@pytest.fixture(scope="module")
+def blocks() -> list[SampleBlock]:
+    """Two grasps, as the acquisition publishes them."""
+    board = SimulatedBoard(TOOL, SimulatedGrasper(TOOL, LIBRARY, TISSUE, seed=1), VirtualClock())
+    published = []
+    with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
+        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, safety=Safety.ARMED)
+        acquisition.start("run", PROTOCOL, 2)
+        while acquisition.running:
+            published.append(acquisition.turn())
+    return published
+
+
+class Estimator:
+    """A real estimator process, what is sent to it and what it answers."""
+
+    def __init__(self, endpoints: bus.Endpoints) -> None:
+        self._context = zmq.Context()
+        self._publisher = bus.publisher(self._context, endpoints.samples)
+        self._answers = bus.subscriber(self._context, endpoints.estimates)
+        setup = estimator_worker.Setup(os.getpid(), endpoints, TOOL, LIBRARY, SETTINGS)
+        context = multiprocessing.get_context("spawn")
+        self._process = context.Process(target=estimator_worker.main, args=(setup,), daemon=True)
+        self._process.start()
+        while bus.unpack_notice(self._answers.recv_multipart())["kind"] != "estimating":
+            pass
+        time.sleep(0.3)  # its subscription travels
+
+    def estimate(self, blocks: list[SampleBlock]) -> list[ReceivedEstimates]:
+        """Send the blocks in that order; what was made of them, up to the last."""
+        received = []
+        for block in blocks:
+            self._publisher.send_multipart(bus.pack_samples(block))
+        last = max(block.sequence for block in blocks)
+        while not received or received[-1].block.sequence < last:
+            assert self._answers.poll(20_000), "no answer"
+            parts = self._answers.recv_multipart()
+            if parts[0] == bus.ESTIMATES:
+                received.append(unpack_estimates(parts, len(LIBRARY.tissues)))
+        return received
+
+    def close(self) -> None:
+        self._process.terminate()
+        self._process.join(10)
+        self._context.destroy(linger=0)
+
+
+@contextmanager
+def running(folder) -> Iterator[Estimator]:
+    estimator = Estimator(bus.Endpoints.in_folder(folder))
+    try:
+        yield estimator
+    finally:
+        estimator.close()
+
+
+def grasps_of(received):
+    return [grasp for estimates in received for grasp in estimates.block.ended]
+
+
+def test_what_is_dropped_is_counted_and_names_nothing_wrong(blocks, tmp_path):
+    dropped = {40 + 13 * i for i in range(25)}
+    with running(tmp_path) as estimator:
+        received = estimator.estimate([block for block in blocks if block.sequence not in dropped])
+    assert received[-1].missing_blocks == len(dropped)
+    assert {grasp.label for grasp in grasps_of(received)} <= {TISSUE, "undecided", "unknown"}
+
+
+def test_blocks_that_are_overtaken_are_counted_as_missing_and_end_no_grasp(blocks, tmp_path):
+    mixed = list(blocks)
+    for i in range(150, len(mixed) - 10, 20):
+        mixed[i], mixed[i + 3] = mixed[i + 3], mixed[i]
+    with running(tmp_path) as estimator:
+        received = estimator.estimate(mixed)
+    sequences = [estimates.block.sequence for estimates in received]
+    assert sequences == sorted(sequences)
+    assert received[-1].missing_blocks == len(blocks) - len(received) > 0
+    assert len(grasps_of(received)) >= 1
+    assert {grasp.label for grasp in grasps_of(received)} <= {TISSUE, "undecided", "unknown"}
+
+
+def test_a_sender_that_was_restarted_is_not_taken_for_one_that_is_late(blocks, tmp_path):
+    later = [
+        SampleBlock(block.sequence, block.t_mono_ns + 10**12, 0, block.samples, "another", block.safety)
+        for block in blocks
+    ]
+    with running(tmp_path) as estimator:
+        first = estimator.estimate(blocks)
+        estimator.estimate(later[:1])
+        again = estimator.estimate(later[1:])
+    assert again[-1].missing_blocks == 0
+    assert len(again) == len(first) - 1
