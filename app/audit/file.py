@@ -18,7 +18,7 @@ from app.wire import JournalEntry, JournalKind
 from config.errors import JournalError
 
 LAST_BYTES = 2**20  # a line has a few thousand
-PATIENCE_S = 0.05  # for another program that is writing; the event loop waits meanwhile
+PATIENCE_S = 0.1  # for another program that is writing; the event loop waits meanwhile
 AT_ONCE_BYTES = 2**20
 BEGINS = "The chain of the journal begins"
 
@@ -71,7 +71,7 @@ class JournalFile:
         while (file := self._take()) is None:
             if time.monotonic() > end_s:
                 raise BlockingIOError(errno.EWOULDBLOCK, "another program holds it")
-            time.sleep(0.002)
+            time.sleep(0.0005)
         try:
             yield file
         finally:

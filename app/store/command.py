@@ -1,5 +1,6 @@
 """`graspwatch index`: what the index holds, and building it anew."""
 
+import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -9,9 +10,12 @@ from rich.console import Console
 from rich.table import Table
 from sqlalchemy import URL
 
+from app.audit.local import local_deed
 from app.store.faults import REBUILD
 from app.store.rebuild import READERS, rebuild
 from app.store.status import Status, status
+from app.store.store import Store
+from app.wire import JournalEntry
 
 
 def show(url: URL, data: Path, as_json: bool) -> None:
@@ -46,7 +50,11 @@ def build_anew(url: URL, data: Path, errors: Console, progress: Callable[[float]
     Raises:
         ServiceError: see `rebuild`.
     """
-    rebuilt = rebuild(url, data, READERS, progress)
+    lines: list[JournalEntry] = []
+    with local_deed(data, "index", "Rebuild the index", lines.append):
+        rebuilt = rebuild(url, data, READERS, progress)
+    with contextlib.closing(Store(url)) as store:
+        store.take_all((line, None) for line in lines)
     for problem in rebuilt.problems:
         errors.print(f"Left out in part: {problem}", markup=False, soft_wrap=True)
     if rebuilt.broken_lines:
