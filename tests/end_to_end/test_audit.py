@@ -105,9 +105,16 @@ def test_a_journal_that_somebody_has_shortened_is_found_out(service: Service) ->
     assert (found["whole"], found["notes"]) == (True, [])
     until(lambda: service.http.get("/api/files").json())
     service.end()
+    broken = service.data / "recordings" / "broken.lvm"
+    for command, exit_code in ((("import", broken), 3), (("index", "--rebuild"), 0)):
+        done = subprocess.run([PROGRAM, *command, "--data", service.data], capture_output=True, timeout=60)
+        assert done.returncode == exit_code
     assert audit("verify", "--data", service.data).returncode == 0
     journal = service.data / "journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
+    local = [json.loads(line) for line in lines[-2:]]
+    assert [(each["action"], each["result"]) for each in local] == [("import", "failed"), ("index", "done")]
+    assert all(each["by"] and each["client"].startswith("this machine") for each in local)
     eve = next(number for number, line in enumerate(lines) if b"no_such" in line and b'"Eve"' in line)
     for name, changed, says in (
         ("changed", [*lines[:eve], lines[eve].replace(b'"Eve"', b'"Ada"'), *lines[eve + 1 :]], f"line {eve + 1}"),
