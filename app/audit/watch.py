@@ -10,7 +10,7 @@ from app.store.keeper import Index
 from app.wire import JournalCheck, Priority
 from config.errors import GraspwatchError, JournalError
 
-KEPT_S = 20.0  # a page asks every few seconds
+KEPT_S = 5.0  # many pages may ask
 
 
 class ChainWatch:

@@ -32,7 +32,7 @@ class ExportQuestion(BaseModel):
 async def check(request: Request) -> JournalCheck:
     """Whether any line was changed, removed, put in or moved: by the chain, and by what the index knows.
 
-    `graspwatch audit verify` also asks the recordings. What was found is told again for 20 seconds.
+    `graspwatch audit verify` also asks the recordings. What was found is told again for five seconds.
     """
     chain: ChainWatch = request.app.state.chain
     return await chain.look()

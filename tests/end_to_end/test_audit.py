@@ -101,7 +101,8 @@ def test_a_journal_that_somebody_has_shortened_is_found_out(service: Service) ->
     """The last test of this service: it ends it. A run's recording and the index both know the lines."""
     service.finished(service.run(protocol="trapezoid_4hz", cycles=1, by="Ada")["id"])
     service.http.post("/api/runs", json={"protocol": "no_such", "by": "Eve"})
-    found = service.http.get("/api/audit/check").json()
+    lines = len((service.data / "journal.jsonl").read_bytes().splitlines())
+    found = until(lambda: (now := service.http.get("/api/audit/check").json())["lines"] >= lines and now)
     assert (found["whole"], found["notes"]) == (True, [])
     until(lambda: service.http.get("/api/files").json())
     service.end()
