@@ -52,8 +52,8 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
 def _sine_command(waveform: Sine, command_to_force: CommandToForce, time_s: np.ndarray) -> np.ndarray:
     """The command for a raised cosine of force: A/2 (1 - cos 2 pi f t), first slow, then fast."""
     first_s = 1.0 / waveform.first_hz
-    cycles = np.where(time_s < first_s, time_s * waveform.first_hz, (time_s - first_s) * waveform.then_hz)
     with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses what is no number
+        cycles = np.where(time_s < first_s, time_s * waveform.first_hz, (time_s - first_s) * waveform.then_hz)
         force = waveform.peak_n / 2 * (1 - np.cos(2 * np.pi * cycles))
     return np.where(time_s < waveform.grasp_s, command_to_force.command(force), 0.0)
 
