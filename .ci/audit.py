@@ -34,7 +34,7 @@ def python_parts() -> int:
         return unreached("Python", problem)
     skipped = [f"{part['name']} ({part['skip_reason']})" for part in parts if "skip_reason" in part]
     found = [
-        f"{part['name']} {part['version']}: {each['id']}, mended in {', '.join(each['fix_versions']) or 'no version yet'}"
+        f"{part['name']} {part['version']}: {each['id']}, mended in {', '.join(each['fix_versions']) or 'none yet'}"
         for part in parts
         for each in part.get("vulns", ())
     ]
