@@ -1,5 +1,5 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test bench safety soak dashboard figures screenshots wire lock clean
+.PHONY: run test audit sbom bench safety soak dashboard figures screenshots wire lock clean
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
@@ -19,6 +19,15 @@ test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/python -m pytest -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/estimator \
 		tests/faults --ignore tests/faults/live
 	$(BIN)/python -m pytest tests/browser tests/end_to_end tests/faults/live  # live tools: one at a time
+
+audit: $(VENV)/.installed ## known vulnerabilities of the locked versions; says so where nobody could be asked
+	$(BIN)/python .ci/audit.py
+
+sbom: $(VENV)/.installed ## what it is made of: CycloneDX, of the service and of the dashboard, in build/sbom
+	@mkdir -p build/sbom
+	$(BIN)/cyclonedx-py requirements requirements.lock --pyproject pyproject.toml --output-reproducible \
+		-o build/sbom/service.cdx.json
+	$(NPM) sbom --prefix frontend --sbom-format cyclonedx --omit dev --package-lock-only > build/sbom/dashboard.cdx.json
 
 bench: $(VENV)/.installed app/static/index.html ## measure; prints the table, writes bench.json
 	$(BIN)/python -m tests.benchmarks

@@ -35,6 +35,11 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
             command = np.interp(time_s, waveform.time_s, waveform.command_v)
         case Sine():
             command = _sine_command(waveform, tool.command_to_force, time_s)
+    if not np.isfinite(command).all():
+        raise RefusedError(
+            f"Protocol {protocol.name!r} gives no motor command at {rate_hz:.0f} samples a second: a number in it is "
+            "too large. Correct it or choose another protocol."
+        )
     peak_v = float(command.max())
     if peak_v > tool.limits.max_command_v:
         raise RefusedError(
@@ -47,8 +52,9 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
 def _sine_command(waveform: Sine, command_to_force: CommandToForce, time_s: np.ndarray) -> np.ndarray:
     """The command for a raised cosine of force: A/2 (1 - cos 2 pi f t), first slow, then fast."""
     first_s = 1.0 / waveform.first_hz
-    cycles = np.where(time_s < first_s, time_s * waveform.first_hz, (time_s - first_s) * waveform.then_hz)
-    force = waveform.peak_n / 2 * (1 - np.cos(2 * np.pi * cycles))
+    with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses what is no number
+        cycles = np.where(time_s < first_s, time_s * waveform.first_hz, (time_s - first_s) * waveform.then_hz)
+        force = waveform.peak_n / 2 * (1 - np.cos(2 * np.pi * cycles))
     return np.where(time_s < waveform.grasp_s, command_to_force.command(force), 0.0)
 
 

@@ -1,4 +1,5 @@
-"""The command line. Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service."""
+"""The command line. Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service,
+7 journal."""
 
 import json
 import sys
@@ -11,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from app import __version__
+from app.audit import command as audit
 from app.exchange import command as exchange
 from app.learn.command import learn
 from app.learn.labels import LearnCommand
@@ -35,12 +37,13 @@ app = typer.Typer(
     name="graspwatch",
     help="Names the tissue in a laparoscopic grasper while it closes, and shows how near the force is to injuring it. "
     "Research instrument, not a medical device.",
-    epilog="Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service.",
+    epilog="Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service, 7 journal.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
 app.add_typer(study.app, name="study")
+app.add_typer(audit.app, name="audit")
 for command in (*exchange.COMMANDS, report):
     app.command(command.__name__.strip("_").replace("_", "-"))(command)
 app.command("learn", cls=LearnCommand)(learn)

@@ -14,13 +14,15 @@ from fastapi_offline import FastAPIOffline
 from starlette.middleware.base import RequestResponseEndpoint
 
 from app import __version__, problems
+from app.audit.deeds import Deeds
+from app.audit.watch import ChainWatch
 from app.demo import demonstrate
 from app.plan import ServicePlan
 from app.replay.films import Films
 from app.replay.shelf import Shelf
 from app.report.reports import Reports
 from app.roles import Admin, is_loopback
-from app.routes import alarms, catalogue, history, live, recordings, runs, studies, system
+from app.routes import alarms, audit, catalogue, history, live, recordings, runs, studies, system
 from app.station import Station
 from app.store.opening import open_for_service
 from app.study.desk import StudyDesk
@@ -49,10 +51,11 @@ def create_app(plan: ServicePlan) -> FastAPI:
         films, shelf = contextlib.aclosing(Films(plan)), contextlib.aclosing(Shelf(plan))
         reports = contextlib.aclosing(Reports(plan))
         await station.start()
+        chain = contextlib.aclosing(ChainWatch(plan.data, station.index, station.alarms))
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
         async with (
             index, desk as app.state.studies, films as app.state.films, shelf as app.state.shelf,
-            reports as app.state.reports,
+            reports as app.state.reports, chain as app.state.chain,
         ):  # fmt: skip
             try:
                 yield
@@ -69,9 +72,10 @@ def create_app(plan: ServicePlan) -> FastAPI:
     )
     app.state.admin = admin
     problems.install(app)
-    for routes in (runs, history, alarms, catalogue, system, studies, recordings, live):
+    for routes in (runs, history, audit, alarms, catalogue, system, studies, recordings, live):
         app.include_router(routes.router)
     app.middleware("http")(_add_security_headers)
+    app.add_middleware(Deeds)
     if (STATIC / "index.html").is_file():
         for page in PAGES:
             app.get(page, include_in_schema=False)(_dashboard)

@@ -11,7 +11,7 @@ Binary frame, little-endian: `FRAME_HEADER`, then `columns` float32 columns of `
 
 import struct
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -366,6 +366,19 @@ class JournalKind(StrEnum):
     ALARM = "alarm"
     ACKNOWLEDGED = "acknowledged"
     DELETED = "deleted"
+    REQUEST = "request"
+    """Somebody asked for a change: who, what, from where, and what came of it."""
+    CHAIN = "chain"
+    """The journal says something of itself: where its chain begins, or a line was cut off."""
+
+
+class Result(StrEnum):
+    """What came of a request."""
+
+    DONE = "done"
+    REFUSED = "refused"
+    FAILED = "failed"
+    """It could not be carried out."""
 
 
 class FileCondition(StrEnum):
@@ -408,10 +421,40 @@ class JournalEntry(Wire):
     run: Run | None = Field(None, description="As it was then")
     alarm: Alarm | None = Field(None, description="As it was then")
     file: FileRecord | None = Field(None, description="The recording that was deleted")
+    action: str | None = Field(None, description="What was asked for: the name of the route or of the command")
+    client: str | None = Field(None, description="From where it was asked for")
+    result: Result | None = None
+    reason: str | None = Field(None, description="Why it was refused, or failed")
+    chain: str | None = Field(None, description="Which chain the line belongs to; null, as all below: to none")
+    number: int | None = Field(None, description="One more than the line before")
+    after: str | None = Field(None, description="Hash of the line before")
+    begins: str | None = Field(None, description="Here the chain begins: hash of all that stands in the file before")
+    torn: str | None = Field(None, description="A cut-off line stands before this one: its hash")
+    hash: str | None = Field(None, description="SHA-256 of the line up to here, hexadecimal")
 
     def line(self) -> str:
         """As it stands in the journal: without what is null, except within what it is about."""
         return self.model_dump_json(exclude={name for name in type(self).model_fields if getattr(self, name) is None})
+
+    def unchained(self) -> Self:
+        """What it says, without its place in the journal."""
+        return self.model_copy(update=dict.fromkeys(CHAINING))
+
+
+CHAINING = ("chain", "number", "after", "begins", "torn", "hash")
+
+
+class JournalCheck(Wire):
+    """Whether the journal is as it was written."""
+
+    whole: bool = Field(description="Nothing was changed, removed or put in, as far as can be known")
+    problem: str | None = Field(description="The first place that is not as it was written, and what is wrong there")
+    notes: list[str] = Field(description="What one should know of a journal all the same, such as a cut-off line")
+    lines: int = Field(description="Lines in the chain")
+    unchained: int = Field(description="Lines of an older version before it, which nothing vouches for")
+    newest: int | None = Field(description="Number of the newest line")
+    newest_hash: str | None = Field(description="Its hash: who keeps it can tell later whether it still stands there")
+    checked_at: str = Field(description="ISO 8601, UTC")
 
 
 class RecordingInfo(Wire):

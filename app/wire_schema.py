@@ -17,7 +17,7 @@ SCHEMA_FILE = Path(__file__).parents[1] / "frontend" / "src" / "wire.schema.json
 
 SENT_BY_SERVER = (
     "ServerMessage", "Run", "ProtocolInfo", "LibraryInfo", "Grasp", "StopAnswer", "Health", "Problem", "Alarm",
-    "JournalEntry", "Recordings", "Studies", "StudyRun", "System", "SafetyReport",
+    "JournalEntry", "JournalCheck", "Recordings", "Studies", "StudyRun", "System", "SafetyReport",
 )  # fmt: skip
 SENT_BY_BROWSER = (
     "RunRequest", "ArmRequest", "StopRequest", "FrameReceived", "AcknowledgeRequest", "ReplayControl", "StudyRequest",

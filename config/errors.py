@@ -42,3 +42,9 @@ class ServiceError(GraspwatchError):
     """The service cannot start or lost a worker (port taken, worker dead)."""
 
     exit_code = 6
+
+
+class JournalError(GraspwatchError):
+    """The journal is not as it was written, or cannot be read: names the first place and what is wrong there."""
+
+    exit_code = 7

@@ -15,6 +15,9 @@ CONFIG_DIR = Path(__file__).parent
 
 WAVEFORM_SHAPES = ("trapezoid", "sine", "custom")  # pydantic puts them into the place of a fault; the file does not
 
+MOST_CHARACTERS = 2**24  # a learned library has some hundred thousand
+MOST_FAULTS = 100  # told at a time
+
 M = TypeVar("M", bound=BaseModel)
 
 
@@ -78,28 +81,40 @@ def load_file(path: Path, model: type[M]) -> M:
         ConfigurationError: the file is missing, is no TOML, or has faults; all faults are listed with their keys.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(_read(path))
+        as_json = json.dumps(content, default=str)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: there is no such file. Check the path.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read as a text file ({error}).") from None
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, ValueError) as error:  # the latter for a number of thousands of digits
         raise ConfigurationError(f"{path}: is not valid TOML: {error}.") from None
+    except RecursionError:
+        raise ConfigurationError(f"{path}: holds tables within tables without end. Check the file.") from None
     try:  # through JSON: its strict mode takes arrays for tuples and strings for enums, but no "5" for 5
-        return model.model_validate_json(json.dumps(content, default=str))
+        return model.model_validate_json(as_json)
     except ValidationError as error:
         raise ConfigurationError(describe_faults(str(path), error, model)) from None
 
 
+def _read(path: Path) -> str:
+    with path.open(encoding="utf-8") as file:
+        text = file.read(MOST_CHARACTERS + 1)
+    if len(text) > MOST_CHARACTERS:
+        raise ConfigurationError(f"{path}: is far too long for a configuration file. Check the path.")
+    return text
+
+
 def describe_faults(where: str, error: ValidationError, model: type[BaseModel]) -> str:
     """One line a fault: file, key, what is wrong, and the nearest valid key where a key is unknown."""
-    faults = [f"{where}: {_describe_fault(fault, model)}" for fault in error.errors()]
-    count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
-    return "\n".join([f"{count} to mend:", *faults])
-
-
-def _describe_fault(fault: Any, model: type[BaseModel]) -> str:
     keys = sorted(_all_keys(model.model_json_schema()))
+    faults = [f"{where}: {_describe_fault(fault, keys)}" for fault in error.errors()[:MOST_FAULTS]]
+    found = error.error_count()
+    more = [f"and {found - MOST_FAULTS} more"] if found > MOST_FAULTS else []
+    return "\n".join([f"{found} fault{'s'[: found != 1]} to mend:", *faults, *more])
+
+
+def _describe_fault(fault: Any, keys: list[str]) -> str:
     *outer, last = fault["loc"] or ("(whole file)",)
     named = [part for part in outer if part not in WAVEFORM_SHAPES]
     place = ".".join(str(part) for part in [*named, last])

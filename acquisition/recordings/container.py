@@ -16,9 +16,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader
 from zstandard import ZstdError
 
+from acquisition.recordings.chunks import unpack
 from acquisition.recordings.layout import ABOUT, ENDED, FORMAT_VERSION, PROFILE
 from acquisition.recordings.rows import RowLayout
 from config.errors import RecordingError
@@ -110,12 +111,13 @@ class Container:
             what = f"its profile is {profile!r}" if profile else "it names no profile"
             raise RecordingError(f"{self.path}: is an MCAP file, but no recording of Graspwatch ({what}).")
         version = self.about.get("format_version", "")
-        if version.isdigit() and int(version) > FORMAT_VERSION:
+        known = version.isdecimal() and len(version) < 10
+        if known and int(version) > FORMAT_VERSION:
             raise RecordingError(
                 f"{self.path}: was recorded by a later Graspwatch ({self.about.get('graspwatch', '?')}, format "
                 f"{version}; this one reads up to {FORMAT_VERSION}). Update Graspwatch."
             )
-        if not version.isdigit():
+        if not known:
             raise RecordingError(f"{self.path}: holds no description of what was recorded. {ANOTHER_COPY}")
 
     def _read_end(self) -> bool:
@@ -151,7 +153,10 @@ class Container:
                     break
         if ended_at:
             file.seek(ended_at)
-            self.ended = next(iter(StreamReader(file, skip_magic=True).records)).metadata
+            record = next(iter(StreamReader(file, skip_magic=True, record_size_limit=RECORD_LIMIT_BYTES).records), None)
+            if not isinstance(record, Metadata):
+                raise ValueError("it names a place where nothing is")
+            self.ended = record.metadata
 
     def records(self) -> Iterator[McapRecord]:
         """All records in their order, to the file's end or to where it was cut off.
@@ -183,8 +188,7 @@ class Container:
         channels = _Channels()
         for number, record in enumerate(record for record in self.records() if isinstance(record, Chunk)):
             try:
-                stream, size = get_chunk_data_stream(record, validate_crc=True)
-                yield from _in_chunk(stream.read(size), channels, wanted)
+                yield from _in_chunk(unpack(record), channels, wanted)
             except DAMAGE as error:
                 raise RecordingError(
                     f"{self.path}: piece {number + 1} of its samples is damaged ({error}). {ANOTHER_COPY}"

@@ -14,6 +14,10 @@ from config.schema import Tool
 
 HEADER_LINES = 40  # at most, of the first part
 END_OF_HEADER = "***End_of_Header***"
+LONGEST_S = 86_400.0  # from one sample to the next: more is a wrong number
+MOST_BYTES = 256 * 2**20  # of text, over an hour
+MOST_LINES = 5_000_000  # each takes many times its length in memory
+LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"  # all at which Python splits lines
 ENCODER_HEADER = "Untitled"  # the lab's name for the counter channel
 
 
@@ -64,10 +68,13 @@ def started_at(path: Path) -> datetime | None:
 
 def _read_lines(path: Path) -> list[str]:
     try:
-        content = path.read_bytes()
-        if path.suffix == ".gz":
-            content = gzip.decompress(content)
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            raise RecordingError(f"{path}: holds more than {MOST_BYTES // 2**20} MiB of text. Split it.")
         text = _decode(path, content)
+        if sum(map(text.count, LINE_ENDS)) > MOST_LINES:
+            raise RecordingError(f"{path}: holds more than {MOST_LINES} lines. Split it.")
     except FileNotFoundError:
         raise RecordingError(f"{path}: there is no such file. Check the path.") from None
     except EOFError:
@@ -160,14 +167,16 @@ def _first_bad_line(path: Path, lines: list[str], headings_at: int, columns: lis
 
 def _check_time(path: Path, time_s: np.ndarray, line_numbers: list[int], rate_hz: float) -> None:
     """Time must advance by whole samples; a forward jump is a gap (kept, counted), anything else is an error."""
-    steps = np.diff(time_s) * rate_hz
+    with np.errstate(over="ignore"):
+        steps = np.diff(time_s) * rate_hz
     usual = float(np.median(steps)) if len(steps) else 1.0
     if usual > 1.5:
         raise RecordingError(
             f"{path}, line {line_numbers[0]}: recorded at {rate_hz / usual:.0f} samples a second; the tool file says "
             f"{rate_hz:.0f}. Name the tool file that belongs to it with --tool."
         )
-    bad = np.flatnonzero((np.abs(steps - np.round(steps)) > 0.01) | (steps < 0.5))
+    with np.errstate(invalid="ignore"):
+        bad = np.flatnonzero(~(np.abs(steps - np.round(steps)) <= 0.01) | (steps < 0.5) | (steps > LONGEST_S * rate_hz))
     if len(bad):
         raise RecordingError(
             f"{path}, line {line_numbers[bad[0] + 1]}: time goes from {time_s[bad[0]]:.6f} to "

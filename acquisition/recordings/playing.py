@@ -9,9 +9,9 @@ from typing import Self
 import numpy as np
 from pydantic import ValidationError
 
-from acquisition.recordings.container import MAGIC, Container
+from acquisition.recordings.container import ANOTHER_COPY, MAGIC, Container
 from acquisition.recordings.layout import RAW, RAW_ROWS, SIGNALS, TOOL
-from acquisition.recordings.lvm import read_lvm
+from acquisition.recordings.lvm import LONGEST_S, read_lvm
 from acquisition.source import RawBlock
 from config.errors import RecordingError
 from config.schema import Tool
@@ -52,6 +52,8 @@ class Recording:
         self.tool = tool if self.container is None else tool_of(self.container)
         self._recorded = self._read()
         self._rate_hz = self.tool.board.sample_rate_hz
+        if self.duration_s > LONGEST_S:
+            raise RecordingError(f"{path}: spans more than {LONGEST_S / 3600:.0f} hours. Split it, or mend its times.")
         self._speed = speed
         self._block = BLOCK_SAMPLES if speed is None else self.tool.board.block_samples
         self._at = self._skipped = 0
@@ -72,11 +74,14 @@ class Recording:
         if (np.diff(ticks) < 1).any():
             raise RecordingError(f"{self.path}: its samples are not in the order of time.")
         self.first_tick = int(ticks[0] - ticks[0] % STEP_SAMPLES)
-        begins = int(np.searchsorted(ticks, int(about["run_first_tick"])))
+        try:
+            begins, run_id = int(np.searchsorted(ticks, int(about["run_first_tick"]))), about["run_id"]
+        except (KeyError, ValueError, OverflowError):
+            raise RecordingError(f"{self.path}: does not say where its run begins. {ANOTHER_COPY}") from None
         ends = np.flatnonzero(np.diff(rows.sequence)) + 1
         ends = ends[ticks[ends - 1] % STEP_SAMPLES != STEP_SAMPLES - 1]
         signals = np.array([rows.columns[name] for name in SIGNALS])
-        runs = {begins: about["run_id"]} if begins < len(ticks) else {}
+        runs = {begins: run_id} if begins < len(ticks) else {}
         limiter = rows.columns["limiter_flags"].astype(np.uint16)
         return _Recorded(ticks - self.first_tick, signals, limiter, ends, runs)
 

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from app.audit.local import local_deed
 from app.exchange.formats import Format
 from app.options import RECORDED_WITH, ConfigOption, DataOption, LibraryOption, ProgressBar, data_folder
 from config.errors import RecordingError
@@ -33,7 +34,8 @@ def import_(
     from app.record.run_file import Rig
 
     for path in files:
-        with ProgressBar(path.name, 1.0) as progress:
+        noted = local_deed(folder.parent, "import", f"Import {path.name}")
+        with noted, ProgressBar(path.name, 1.0) as progress:
             written = import_labview(path, folder, Rig(rig_tool, profiles, settings), tissue, progress)
         print(written)
 

@@ -46,12 +46,15 @@ def recorded_file(path: Path) -> FileRecord:
     about, ended = container.about, container.ended
     condition = FileCondition.COMPLETE if container.complete else FileCondition.CUT_OFF
     samples, lost = container.message_counts.get(RAW), ended.get("lost_samples")
-    rate_hz = float(about.get("sample_rate_hz", "nan"))
+    try:
+        duration_s = None if samples is None else samples / float(about.get("sample_rate_hz", "nan"))
+        lost_samples = None if lost is None else int(lost)
+    except (ValueError, ZeroDivisionError):
+        return known.model_copy(update={"problem": f"{path.name}: does not hold what a run's file says of itself."})
     return known.model_copy(
         update={
             "run_id": about.get("run_id"), "format_version": about.get("format_version"), "samples": samples,
-            "duration_s": None if samples is None else samples / rate_hz,
-            "lost_samples": None if lost is None else int(lost),
+            "duration_s": duration_s, "lost_samples": lost_samples,
             "condition": FileCondition.RECOVERED if ended.get("cut_off") else condition,
         }
     )  # fmt: skip

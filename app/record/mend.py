@@ -4,6 +4,7 @@ import fcntl
 import logging
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
@@ -11,7 +12,8 @@ from mcap.stream_reader import breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from acquisition.recordings import layout
-from acquisition.recordings.container import DAMAGE, Container
+from acquisition.recordings.chunks import unpack
+from acquisition.recordings.container import ANOTHER_COPY, DAMAGE, Container
 from config.errors import RecordingError
 
 CHUNK_BYTES = 256 * 2**10
@@ -48,6 +50,8 @@ def mend(path: Path) -> bool:
             os.fsync(file.fileno())
         os.utime(provisional, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns))
         os.replace(provisional, path)
+    except DAMAGE as error:
+        raise RecordingError(f"{path}: is damaged ({error!r}). {ANOTHER_COPY}") from None
     finally:
         provisional.unlink(missing_ok=True)
     return True
@@ -76,7 +80,7 @@ def _rewrite(container: Container, writer: Writer) -> None:
                 )  # fmt: skip
             case Chunk():
                 try:
-                    inner = breakup_chunk(record, validate_crc=True)
+                    inner = breakup_chunk(replace(record, compression="", data=unpack(record)))
                 except DAMAGE:
                     break  # the chunk that was being written
                 for each in inner:

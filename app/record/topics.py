@@ -33,7 +33,13 @@ def read(topic: str, content: bytes) -> BaseModel:
     Raises:
         ValueError: it is not one of this topic.
     """
-    return TOPICS[topic].model_validate(_with_nulls(TOPICS[topic], json.loads(content)))
+    try:
+        told = json.loads(content)
+    except RecursionError:
+        raise ValueError("objects within objects without end") from None
+    if not isinstance(told, dict):
+        raise ValueError("it is no object")
+    return TOPICS[topic].model_validate(_with_nulls(TOPICS[topic], told))
 
 
 def _with_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import hashlib
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,8 +38,10 @@ class Reports:
         configured = (plan.recorded_with, plan.library, plan.settings)
         self._configuration = "".join(each.model_dump_json() for each in configured) + __version__
 
-    async def ask(self, recording: Path) -> Path | float:
+    async def ask(self, recording: Path, begun: Callable[[], object] = lambda: None) -> Path | float:
         """The page of a recording if it is there; else it is being made from now on, and this is the share done.
+
+        `begun` hears if it was not being made before.
 
         Raises:
             GraspwatchError: it could not be made; the next time it is tried again.
@@ -58,6 +61,7 @@ class Reports:
         if sum(not each.task.done() for each in self._makings.values()) >= MOST_ASKED:
             raise RefusedError(f"{MOST_ASKED} reports are being made already. Ask again in a minute.", "name")
         making = self._makings[page] = _Making(asyncio.create_task(self._make(recording, page)))
+        begun()
         making.task.add_done_callback(lambda task: task.cancelled() or task.exception())  # told when asked again
         return making.share
 

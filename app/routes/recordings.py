@@ -2,6 +2,7 @@
 
 import asyncio
 from datetime import UTC, datetime
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response, WebSocket
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 
+from app.audit.deeds import client_of
 from app.live import Viewer
 from app.problems import PROBLEM, ProblemError
 from app.replay.films import Films
@@ -20,7 +22,7 @@ from app.routes.paging import tell_page
 from app.routes.studies import REPORT_POLICY
 from app.station import Station
 from app.store.questions import RecordingQuestion
-from app.wire import FileRecord, JournalKind, Person, RecordingInfo, Recordings, ReportProgress
+from app.wire import FileRecord, JournalKind, Person, RecordingInfo, Recordings, ReportProgress, Result
 from config.errors import GraspwatchError, RecordingError, RefusedError
 
 router = APIRouter(prefix="/api/recordings", tags=["recordings"])
@@ -97,7 +99,7 @@ async def delete(request: Request, name: str, by: Annotated[Person, Query(descri
         station.journal.write(JournalKind.DELETED, f"Recording {name} stays", by=by, file=before)
         detail = "The journal cannot be written, and nothing is deleted without a line in it. Make room by other means."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail)
-    await station.index.settled()
+    await asyncio.gather(station.index.settled(), station.journal.synced())
     try:
         await asyncio.to_thread(path.unlink, missing_ok=True)
     except OSError as error:
@@ -151,11 +153,15 @@ async def report(request: Request, name: str) -> Response:
     """
     reports: Reports = request.app.state.reports
     path = await _path(request, name)
+    station: Station = request.app.state.station
+    note = partial(station.journal.deed, "report", f"Make report of {name}", client=client_of(request))
     try:
-        made = await reports.ask(path)
+        made = await reports.ask(path, partial(note, result=Result.DONE))
     except RecordingError as error:
+        note(result=Result.FAILED, reason=str(error))
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error)) from None
     except RefusedError as error:
+        note(result=Result.REFUSED, reason=str(error))
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
     fresh = {"Cache-Control": "no-store", "Vary": "Accept"}
     if isinstance(made, Path):

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Body, Query, Request, Response
 
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import Safety
+from app.audit.deeds import note_deed
 from app.problems import PROBLEM, ProblemError
 from app.routes.paging import tell_page
 from app.station import Station
@@ -34,6 +35,7 @@ def station_of(request: Request) -> Station:
 )
 async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> Run:
     """Start a protocol on the tool."""
+    note_deed(request, what=f"Start run {wanted.protocol}" + (f" on {wanted.tissue}" if wanted.tissue else ""))
     station = station_of(request)
     check_tool(station)
     try:

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Request
 from fastapi.responses import FileResponse
 
+from app.audit.deeds import note_deed
 from app.problems import PROBLEM, ProblemError
 from app.study.desk import StudyDesk
 from app.wire import StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
@@ -48,6 +49,7 @@ async def list_studies(request: Request) -> Studies:
 )
 async def start_study(request: Request, wanted: Annotated[StudyRequest, Body()]) -> StudyRun:
     """Start a study. It leaves one core to a live tool, and gives way to it on the others."""
+    note_deed(request, what=f"Start study {wanted.study}, seed {wanted.seed}")
     entry = _entry(wanted.study)
     grasps = wanted.grasps or entry.usual
     if grasps > entry.most:

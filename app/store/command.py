@@ -1,5 +1,6 @@
 """`graspwatch index`: what the index holds, and building it anew."""
 
+import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -8,10 +9,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 from sqlalchemy import URL
+from sqlalchemy.exc import DBAPIError
 
+from app.audit.local import local_deed
 from app.store.faults import REBUILD
 from app.store.rebuild import READERS, rebuild
 from app.store.status import Status, status
+from app.store.store import Store
+from app.wire import JournalEntry
+from config.errors import GraspwatchError
 
 
 def show(url: URL, data: Path, as_json: bool) -> None:
@@ -46,7 +52,13 @@ def build_anew(url: URL, data: Path, errors: Console, progress: Callable[[float]
     Raises:
         ServiceError: see `rebuild`.
     """
-    rebuilt = rebuild(url, data, READERS, progress)
+    lines: list[JournalEntry] = []
+    try:
+        with local_deed(data, "index", "Rebuild the index", lines.append):
+            rebuilt = rebuild(url, data, READERS, progress)
+    finally:
+        with contextlib.suppress(GraspwatchError, DBAPIError), contextlib.closing(Store(url)) as store:
+            store.take_all((line, None) for line in lines)  # else the next service takes them
     for problem in rebuilt.problems:
         errors.print(f"Left out in part: {problem}", markup=False, soft_wrap=True)
     if rebuilt.broken_lines:

@@ -5,7 +5,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
-from sqlalchemy import ColumnElement, Select, and_, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Select, and_, func, or_, select
 from sqlalchemy.orm import InstrumentedAttribute
 
 from app.store.tables import AlarmRow, AuditRow, FileRow, GraspRow, RunRow
@@ -132,6 +132,18 @@ def audit(asked: AuditQuestion) -> Select[tuple[AuditRow]]:
         *_containing(asked.q, AuditRow.text),
     )
     return _sorted(query, asked.order, AuditRow.at_ms, AuditRow.key)
+
+
+Place = tuple[str, int, str, str]
+"""A line's chain, its number there, its hash and its text."""
+
+
+def chained(connection: Connection) -> list[Place]:
+    """Of every line that has its place in the journal's chain."""
+    message = AuditRow.message
+    own = message["hash"].as_string()
+    query = select(message["chain"].as_string(), message["number"].as_integer(), own, AuditRow.text)
+    return [row.tuple() for row in connection.execute(query.where(own.is_not(None)))]
 
 
 def files(asked: FileQuestion) -> Select[tuple[FileRow]]:

@@ -4,7 +4,6 @@ The index does not know how a recording is written: a `Reader` for each kind say
 """
 
 import contextlib
-import gzip
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ from sqlalchemy import URL, delete
 from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session
 
+from app.audit.file import journals_in, open_journal
 from app.record.indexing import recorded_file, recorded_messages
 from app.record.recorder import ENDING
 from app.store.claim import Claim
@@ -135,7 +135,9 @@ def take_recording(session: Session, path: Path, reader: Reader, rebuilt: Rebuil
 
 
 def _messages_of(path: Path, reader: Reader) -> Iterator[tuple[str | None, Indexed]]:
-    return reader.recorded_messages(path)
+    """Of the journal without the place in it: that is only believed to this folder's own journal."""
+    for run_id, message in reader.recorded_messages(path):
+        yield run_id, message.unchained() if isinstance(message, JournalEntry) else message
 
 
 def _record_of(path: Path, reader: Reader) -> Iterator[tuple[str | None, Indexed]]:
@@ -143,11 +145,6 @@ def _record_of(path: Path, reader: Reader) -> Iterator[tuple[str | None, Indexed
 
 
 # --- the journal -----------------------------------------------------------------------------------------------------
-
-
-def journals_in(data: Path) -> list[Path]:
-    """The journal and what was rotated away (`journal.jsonl.1`, `.2.gz`), oldest first."""
-    return sorted(data.glob("journal.jsonl*"), key=lambda path: path.stat().st_mtime_ns)
 
 
 def read_lines(lines: Iterable[bytes]) -> Iterator[JournalEntry | None]:
@@ -162,7 +159,7 @@ def read_lines(lines: Iterable[bytes]) -> Iterator[JournalEntry | None]:
 
 def _take_journal(session: Session, path: Path, rebuilt: Rebuilt) -> None:
     try:
-        with gzip.open(path) if path.name.endswith(".gz") else path.open("rb") as file:
+        with open_journal(path) as file:
             for entry in read_lines(file):
                 rebuilt.lines += 1
                 try:

@@ -6,8 +6,10 @@ from pathlib import Path
 from sqlalchemy import URL, Connection, MetaData, Table, inspect, select
 from sqlalchemy import func as sql
 
+from app.store import questions
 from app.store.database import engine_of, faults_explained, newest_revision, revision_of
 from app.store.faults import shown
+from app.store.questions import Place
 from app.store.rebuild import BEHIND_MARKER, Reader, read_lines, recordings_in
 from app.store.tables import Table as Ours
 from app.store.taking import line_key
@@ -46,6 +48,23 @@ def status(url: URL, data: Path, readers: tuple[Reader, ...]) -> Status:
     finally:
         engine.dispose()
     return Status(shown(url), revision, newest_revision(), counts, behind)
+
+
+def chained(url: URL) -> list[Place]:
+    """What the index knows of the journal's chain; nothing where there is no index yet.
+
+    Raises:
+        ConfigurationError: PostgreSQL's driver is missing.
+        ServiceError: it cannot be read.
+    """
+    if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # looking must not make one
+        return []
+    engine = engine_of(url)
+    try:
+        with faults_explained(url), engine.connect() as connection:
+            return questions.chained(connection) if inspect(connection).has_table("audit") else []
+    finally:
+        engine.dispose()
 
 
 def _behind(connection: Connection, tables: dict[str, Table], data: Path, readers: tuple[Reader, ...]) -> list[str]:

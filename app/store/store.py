@@ -129,6 +129,11 @@ class Store:
         rows, total = self._page(questions.audit(asked), asked)
         return Found([JournalEntry.model_validate(row.message) for row in rows], total)
 
+    def chained(self) -> list[questions.Place]:
+        """Every line that has its place in the journal's chain."""
+        with faults_explained(self.url), self._engine.connect() as connection:
+            return questions.chained(connection)
+
     def files(self, asked: FileQuestion) -> Found[FileRecord]:
         rows, total = self._page(questions.files(asked), asked)
         return Found([FileRecord.model_validate(row.message) for row in rows], total)

@@ -47,8 +47,8 @@ def milliseconds(moment: str) -> float:
 
 
 def line_key(entry: JournalEntry) -> str:
-    """What tells lines of the journal apart: everything in them."""
-    return hashlib.sha256(entry.line().encode()).hexdigest()
+    """What tells lines of the journal apart: everything they say, wherever they stand."""
+    return hashlib.sha256(entry.unchained().line().encode()).hexdigest()
 
 
 def _text_of(message: Wire) -> str:
@@ -138,7 +138,9 @@ def _alarm_age(alarm: Alarm) -> tuple[int, str]:
 def _take_line(session: Session, entry: JournalEntry) -> None:
     """With the line comes what it is about, unless the line was there: then it has come, and may have changed since."""
     key = line_key(entry)
-    if _found(session, AuditRow, key):
+    if row := _found(session, AuditRow, key):
+        if entry.hash:  # it had to wait for its place in the journal
+            row.message = _whole(entry)
         return
     session.add(
         AuditRow(

@@ -156,6 +156,13 @@ def test_the_system_page_tells_versions_calibration_and_what_happened(service, w
     expect(viewer.at("system-versions")).to_contain_text("nidaqmx")
     expect(viewer.at("calibration")).to_contain_text("2026-11-22")
     expect(viewer.at("journal")).to_contain_text("Run finished")
+    expect(viewer.at("chain")).to_contain_text("none changed or missing")
+    viewer.page.locator("#journal-kinds").get_by_role("button", name="Request").click()
+    expect(viewer.at("journal")).to_contain_text("Start run trapezoid_4hz on liver: done")
+    expect(viewer.at("journal")).to_contain_text("from 127.0.0.1")
+    with viewer.page.expect_download() as saved:
+        viewer.at("chain").get_by_role("link", name="Save as CSV").click()
+    assert "Start run trapezoid_4hz" in saved.value.path().read_text()
 
 
 def test_a_study_is_started_watched_and_stopped(service, watch):

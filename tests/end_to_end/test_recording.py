@@ -166,5 +166,6 @@ def test_the_end_of_the_service_makes_the_file_whole_and_the_index_can_be_rebuil
         rebuilt = indexed(service.data)
     assert {table: len(rows) for table, rows in live.items() if table in ("runs", "files")} == {"runs": 2, "files": 2}
     assert live["grasps"]
+    rebuilt["audit"] = [row for row in rebuilt["audit"] if "Rebuild the index: done" not in row]
     for table, rows in live.items():
         assert rebuilt[table] == rows, table

@@ -185,9 +185,9 @@ def test_a_stop_ends_all_its_processes(service):
     all_ended(processes)
     assert (stopped["state"], stopped["why"], stopped["report"]) == ("stopped", "asked to stop", None)
     assert service.http.get(f"/api/studies/{study['id']}/report").status_code == 404
-    newest = service.http.get("/api/journal", params={"most": 1}).json()[0]
-    assert newest["text"].startswith("Study stopped: identify")
-    assert newest["by"] == "Bob"
+    asked, told = service.http.get("/api/journal", params={"most": 2}).json()
+    assert (told["text"].split(" (")[0], told["by"]) == ("Study stopped: identify", "Bob")
+    assert (asked["text"], asked["by"]) == (f"Stop study {study['id']}: done", "Bob")
     assert service.http.post(f"/api/studies/{study['id']}/stop").json() == stopped
 
 

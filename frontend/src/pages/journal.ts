@@ -1,17 +1,19 @@
-import { byId, create, setAttribute, setHidden, setText } from "../dom";
-import type { JournalEntry, JournalKind } from "../wire";
+import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import type { JournalCheck, JournalEntry, JournalKind } from "../wire";
 import { Polled } from "./polled";
 import { day, moment, Rows, timeOfDay, type Row } from "./rows";
 
 const EVERY_MS = 5000;
+const CHECKED_EVERY_MS = 30_000;
 const MOST = 200;
-const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged", deleted: "Deleted" };
+const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged", deleted: "Deleted", request: "Request", chain: "Chain" };
 
 type Choice = JournalKind | "all";
 
 /** What happened and who did it, newest first, of one kind or of all. */
 export class Journal {
   private readonly polled: Polled<JournalEntry[]>;
+  private readonly chain: Polled<JournalCheck>;
   private readonly rows = new Rows(byId("journal-body"), (entry: JournalEntry) => JSON.stringify(entry), makeRow);
   private readonly buttons = new Map<Choice, HTMLButtonElement>();
   private entries: JournalEntry[] = [];
@@ -27,10 +29,12 @@ export class Journal {
     byId("journal-kinds").replaceChildren(...this.buttons.values());
     const [path, section] = [`/api/journal?most=${MOST}`, byId("journal")];
     this.polled = new Polled({ path, what: "The journal", section, take: (entries) => this.take(entries) });
+    this.chain = new Polled({ path: "/api/audit/check", what: "Whether it is whole", section: byId("chain"), take: showChain });
   }
 
   close(): void {
     this.polled.close();
+    this.chain.close();
   }
 
   private take(entries: JournalEntry[]): number {
@@ -56,6 +60,13 @@ export class Journal {
   }
 }
 
+function showChain({ problem, notes, lines, checked_at }: JournalCheck): number {
+  const found = problem === null ? `Whole: ${lines} lines, none changed or missing.` : `Not as it was written: ${problem}.`;
+  setText(byId("chain-found"), [found, ...notes.map((note) => `Note: ${note}.`), `Checked ${timeOfDay(checked_at)}.`].join(" "));
+  setData(byId("chain-found"), "warn", String(problem !== null));
+  return CHECKED_EVERY_MS;
+}
+
 function makeRow(entry: JournalEntry): Row<JournalEntry> {
   const element = create("tr", entry.kind);
   const [time, kind, what] = [create("td"), create("td", "roomy", KIND[entry.kind]), create("td", "", entry.text)];
@@ -63,6 +74,8 @@ function makeRow(entry: JournalEntry): Row<JournalEntry> {
   const value = valueInWords(entry);
   const facts = [KIND[entry.kind], entry.by, value].filter(Boolean).join(" · ");
   what.append(create("small", "narrow", facts));
+  const asked = [entry.reason, entry.client && `from ${entry.client}`].filter(Boolean).join(" · ");
+  if (asked) what.append(create("small", "", asked));
   element.append(time, kind, what, create("td", "roomy", entry.by ?? ""), create("td", "number roomy", value));
   return { element };
 }

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bounded import fault_within
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulation import LVM_COLUMNS, SIGNALS, joined, lvm_text, raw_block, simulate_raw, write_lvm
@@ -243,6 +244,82 @@ def test_a_second_measurement_in_the_file_is_told_with_its_line(tmp_path: Path) 
     ends = [i for i, line in enumerate(text.splitlines(), 1) if line.startswith("***End_of_Header***")]
     told = fault_of(written(tmp_path / "r.lvm", text))
     assert told.startswith(f", line {ends[2]}: a second measurement begins here")
+
+
+# --- whatever it is ---------------------------------------------------------------------------------------------------
+
+SHORT = LINES[: FIRST + 40]
+SPLINTERS = st.sampled_from(
+    ["\t", "\n", "\r", "\0", "1e308", "1e999", "-", "nan", "9" * 400, "1_0", "٣", "\x1c", "\u2028", "0.001", "1e15",
+     "0x10", "***End_of_Header***", "LabVIEW Measurement", "X_Value", " ", ",", "\ud800"]
+) | st.text(max_size=5)  # fmt: skip
+
+
+@given(chance=st.data())
+def test_whatever_stands_in_a_file_it_is_read_or_told(
+    tmp_path_factory: pytest.TempPathFactory, chance: st.DataObject
+) -> None:
+    """Nothing is read that is no number, and no gap is believed that no recording can have."""
+    lines = list(SHORT)
+    for _ in range(chance.draw(st.integers(1, 4))):
+        place = chance.draw(st.integers(0, len(lines) - 1))
+        cells = lines[place].split("\t")
+        match chance.draw(st.sampled_from(["cell", "splinter", "remove", "repeat"])):
+            case "cell":
+                cells[chance.draw(st.integers(0, len(cells) - 1))] = chance.draw(SPLINTERS)
+                lines[place] = "\t".join(cells)
+            case "splinter":
+                at = chance.draw(st.integers(0, len(lines[place])))
+                lines[place] = lines[place][:at] + chance.draw(SPLINTERS) + lines[place][at:]
+            case "remove" if len(lines) > 1:
+                del lines[place]
+            case "repeat":
+                lines.insert(place, chance.draw(st.sampled_from(SHORT)))
+    path = tmp_path_factory.getbasetemp() / "any.lvm"
+    path.write_bytes("\n".join(lines).encode(errors="surrogatepass"))
+    try:
+        blocks = blocks_of(path)
+    except RecordingError as error:
+        assert str(error).startswith(str(path))
+    else:
+        assert all(np.isfinite(getattr(block, name)).all() for block in blocks for name in SIGNALS)
+        assert sum(block.lost_samples for block in blocks) < 86_400_000
+
+
+def zeros(path: Path) -> None:
+    with gzip.open(path, "wb", 1) as file:
+        for _ in range(300):
+            file.write(bytes(2**20))
+
+
+def blank_lines(path: Path) -> None:
+    head = "\n".join(LINES[: FIRST - 1]).encode()
+    with gzip.open(path, "wb", 1) as file:
+        file.write(head + b"\n")
+        for _ in range(100):
+            file.write(b"\n" * 2**20)
+
+
+@pytest.mark.parametrize(("fill", "says"), [(zeros, "more than 256 MiB"), (blank_lines, "more than 5000000 lines")])
+def test_a_small_file_that_becomes_a_huge_one_is_told_before_it_takes_the_memory(
+    tmp_path: Path, fill: Callable[[Path], None], says: str
+) -> None:
+    path = tmp_path / "huge.lvm.gz"
+    fill(path)
+    assert path.stat().st_size < 2_000_000
+    assert says in fault_within(1200 * 2**20, read_lvm, path, RIG)
+
+
+@pytest.mark.parametrize(
+    ("hours", "says"),
+    [([30], "line 65: time goes from 0.039000 to 108000"), ([10, 20, 30], "spans more than 24 hours")],
+)
+def test_times_that_no_recording_can_have_are_told(tmp_path: Path, hours: list[int], says: str) -> None:
+    rest = SHORT[-1].split("\t")[1:]
+    late = ["\t".join([f"{3600 * hour}.000000", *rest]) for hour in hours]
+    path = written(tmp_path / "r.lvm", "\n".join([*SHORT[:-1], *late]) + "\n")
+    with pytest.raises(RecordingError, match=says):
+        Recording(path, RIG)
 
 
 # --- the real ones ----------------------------------------------------------------------------------------------------

@@ -1,0 +1,97 @@
+"""Who asked for what, from where, and what came of it: a line of the journal for each request for a change.
+
+It is noted here for all routes at once, so that none can be forgotten. A route may say better what is asked for, and
+who asks, with `note_deed`; a reading request that changes something all the same notes itself with `Journal.deed`.
+"""
+
+import json
+from http import HTTPStatus
+from typing import Any
+
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.journal import Journal
+from app.wire import Result
+
+READING = ("GET", "HEAD", "OPTIONS")
+BODY_BYTES = 20_000  # enough for whose name is in a request, and for why it was refused
+NAME_LENGTH, REASON_LENGTH, CLIENT_LENGTH = 40, 500, 200  # what is said may be of any length
+FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip")
+
+
+def note_deed(request: HTTPConnection, *, what: str | None = None, by: str | None = None) -> None:
+    """Say in a request's line of the journal what it asks for (`Start run sine`), and who asks where that is known for
+    sure: else it is whom the request names."""
+    said = {"what": what, "by": by}
+    request.state.deed = getattr(request.state, "deed", {}) | {name: each for name, each in said.items() if each}
+
+
+def client_of(request: HTTPConnection) -> str:
+    """From where a request comes; what a proxy says of that may be wrong, and is marked as said."""
+    host = request.client.host if request.client else "unknown"
+    said = [f"{name}: {request.headers[name]}" for name in FORWARDED if name in request.headers]
+    return (f"{host} ({'; '.join(said)})" if said else host)[:CLIENT_LENGTH]
+
+
+class Deeds:
+    """Middleware: notes what came of each request once it has been answered."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http" or scope["method"] in READING:
+            await self._app(scope, receive, send)
+            return
+        asked, answered = bytearray(), bytearray()
+        status = HTTPStatus.INTERNAL_SERVER_ERROR
+
+        async def hear() -> Message:
+            message = await receive()
+            asked.extend(message.get("body", b"")[: BODY_BYTES - len(asked)])
+            return message
+
+        async def answer(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = HTTPStatus(message["status"])
+            elif status >= HTTPStatus.BAD_REQUEST:
+                answered.extend(message.get("body", b"")[: BODY_BYTES - len(answered)])
+            await send(message)
+
+        try:
+            await self._app(scope, hear, answer)
+        finally:
+            _note(HTTPConnection(scope), bytes(asked), status, bytes(answered))
+
+
+def _note(request: HTTPConnection, asked: bytes, status: HTTPStatus, answered: bytes) -> None:
+    route = request.scope.get("route")
+    if route is None:
+        return  # nothing is there that could have been changed
+    journal: Journal = request.app.state.station.journal
+    deed = getattr(request.state, "deed", {})
+    words = [route.name.replace("_", " ").capitalize(), *map(str, request.path_params.values())]
+    result, reason = Result.DONE, None
+    if status >= HTTPStatus.BAD_REQUEST:
+        result = Result.FAILED if status >= HTTPStatus.INTERNAL_SERVER_ERROR else Result.REFUSED
+        reason = str(_said(answered, "detail") or status.phrase)[:REASON_LENGTH]
+    journal.deed(
+        route.name, deed.get("what") or " ".join(words), client=client_of(request), result=result,
+        by=deed.get("by") or _named(request, asked), reason=reason,
+    )  # fmt: skip
+
+
+def _named(request: HTTPConnection, asked: bytes) -> str | None:
+    """Whom a request names, in its query or its body."""
+    name = request.query_params.get("by") or _said(asked, "by")
+    return name[:NAME_LENGTH] if isinstance(name, str) and name.strip() else None
+
+
+def _said(document: bytes, name: str) -> Any:
+    try:
+        content = json.loads(document)
+    except (ValueError, RecursionError):
+        return None
+    return content.get(name) if isinstance(content, dict) else None

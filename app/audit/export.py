@@ -1,0 +1,84 @@
+"""The journal for others: its lines as they stand, or a table."""
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from app.audit.file import journals_in, lines_of
+from app.wire import JournalEntry
+
+COLUMNS = (
+    "number", "at", "kind", "action", "text", "by", "client", "result", "reason", "priority", "value", "limit", "unit",
+    "hash",
+)  # fmt: skip
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+class JournalFormat(StrEnum):
+    """`jsonl` can be checked again: its lines are those of the journal, byte for byte."""
+
+    CSV = "csv"
+    JSONL = "jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Which lines; None: any. Moments without a zone are UTC."""
+
+    since: datetime | None = None
+    until: datetime | None = None
+    by: str | None = None
+
+    def takes(self, entry: JournalEntry) -> bool:
+        at = _in_zone(datetime.fromisoformat(entry.at))
+        return (
+            (self.since is None or at >= _in_zone(self.since))
+            and (self.until is None or at < _in_zone(self.until))
+            and (self.by is None or entry.by == self.by)
+        )
+
+
+def export(data: Path, wanted: Wanted, as_format: JournalFormat) -> Iterator[bytes]:
+    """Lines, oldest first; what cannot be read as one is left out (`graspwatch audit verify` tells of it).
+
+    Raises:
+        JournalError: a file cannot be read.
+    """
+    if as_format is JournalFormat.CSV:
+        yield _csv_line(COLUMNS)
+    for path in journals_in(data):
+        for line in lines_of(path):
+            try:
+                entry = JournalEntry.model_validate_json(line)
+                taken = wanted.takes(entry)
+            except (ValidationError, ValueError):
+                continue
+            if taken:
+                yield line.rstrip(b"\n") + b"\n" if as_format is JournalFormat.JSONL else _csv_line(_cells(entry))
+
+
+def _cells(entry: JournalEntry) -> list[str]:
+    return [_harmless(value) for value in (getattr(entry, name) for name in COLUMNS)]
+
+
+def _harmless(value: object) -> str:
+    """Names and reasons come from anybody: a spreadsheet must not take them for formulas."""
+    if value is None:
+        return ""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else str(value)
+
+
+def _csv_line(cells: tuple[str, ...] | list[str]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text).writerow(cells)
+    return text.getvalue().encode()
+
+
+def _in_zone(moment: datetime) -> datetime:
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)

@@ -1,0 +1,204 @@
+"""The file of the journal: only ever appended to, by any number of programs at once, each line in its place."""
+
+import contextlib
+import errno
+import fcntl
+import gzip
+import hashlib
+import os
+import secrets
+import time
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import IO
+
+from app.audit.chain import NEW_LINE, Link, digest, link_of, seal
+from app.wire import JournalEntry, JournalKind
+from config.errors import JournalError
+
+LAST_BYTES = 2**20  # a line has a few thousand
+PATIENCE_S = 0.1  # for another program that is writing; the event loop waits meanwhile
+AT_ONCE_BYTES = 2**20
+BEGINS = "The chain of the journal begins"
+
+
+class JournalFile:
+    """`journal.jsonl` of a data folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "journal.jsonl"
+        self._last: Link | None = None
+        self._left: tuple[int, int] | None = None  # the file and its size as this program left it
+
+    def append(self, entry: JournalEntry) -> list[JournalEntry]:
+        """Write one entry; returns what was written: before it there may be a word of the journal about itself.
+
+        Raises:
+            OSError: it cannot be written; a part of the line may be, which the next one tells of.
+        """
+        written = []
+        with self._locked() as file:
+            for each in [*self._first_words(file, entry.at), entry]:
+                if each.begins is not None:
+                    self._last = None
+                chain = self._last.chain if self._last else secrets.token_hex(4)
+                before = self._last.number if self._last else _lines_before(file)
+                line, placed = seal(each, chain, before + 1, self._last.hash if self._last else None)
+                _write(file, self._end_of_line(file) + line + NEW_LINE)
+                self._last = link_of(line)
+                self._left = _state(file)
+                written.append(placed)
+        return written
+
+    def sync(self) -> None:
+        """Wait until all that was written is on the disk.
+
+        Raises:
+            OSError: it cannot be.
+        """
+        for path, flags in ((self.path, os.O_RDONLY), (self.path.parent, os.O_RDONLY | os.O_DIRECTORY)):
+            file = os.open(path, flags | os.O_CLOEXEC)
+            try:
+                os.fsync(file)
+            finally:
+                os.close(file)
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[int]:
+        """The file, open and for this program alone."""
+        end_s = time.monotonic() + PATIENCE_S
+        while (file := self._take()) is None:
+            if time.monotonic() > end_s:
+                raise BlockingIOError(errno.EWOULDBLOCK, "another program holds it")
+            time.sleep(0.0005)
+        try:
+            yield file
+        finally:
+            os.close(file)
+
+    def _take(self) -> int | None:
+        """None: another program writes, or the file was rotated away just now."""
+        file = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(file), self.path.stat()):
+                return file
+        except (BlockingIOError, FileNotFoundError):
+            pass
+        except BaseException:
+            os.close(file)
+            raise
+        os.close(file)
+        return None
+
+    def _first_words(self, file: int, at: str) -> list[JournalEntry]:
+        """Find out where the chain stands, unless it is known; what has to be said about it first."""
+        if self._left == _state(file):
+            return []
+        whole, fragment = _last_lines(file)
+        last = link_of(fragment)
+        torn = fragment if fragment and not last else b""
+        last = last or link_of(whole)
+        if not whole:
+            last = last or _newest(path for path in self.path.parent.glob(f"{self.path.name}?*"))
+        elif not last:
+            return [_begins(file, at, has_end=not fragment)]
+        if self._last and (last is None or self._last.number > last.number):
+            last = self._last  # somebody shortened the file: what is missing now has to show
+        if last is None:
+            return [_begins(file, at, has_end=not fragment)]
+        self._last = last
+        text = f"A line of the journal was cut off here, after {len(torn)} bytes: the power failed or the disk was full"
+        return [_word(at, text, torn=digest(torn))] if torn else []
+
+    def _end_of_line(self, file: int) -> bytes:
+        """What a line needs before it where the one before has no end."""
+        size = os.fstat(file).st_size
+        return b"" if not size or os.pread(file, 1, size - 1) == NEW_LINE else NEW_LINE
+
+
+def journals_in(data: Path) -> list[Path]:
+    """The journal and what was rotated away (`journal.jsonl.1`, `.2.gz`), oldest first."""
+
+    def age(path: Path) -> tuple[int, int]:
+        link = next(_links_of(path), None)
+        return link.number if link else 0, path.stat().st_mtime_ns
+
+    return sorted(data.glob("journal.jsonl*"), key=age)
+
+
+def lines_of(path: Path) -> Iterator[bytes]:
+    """Of one file, with their ends.
+
+    Raises:
+        JournalError: it cannot be read.
+    """
+    try:
+        with open_journal(path) as file:
+            while line := file.readline(LAST_BYTES):  # a longer one is none of ours, and must not ask for all memory
+                yield line
+    except (OSError, EOFError, zlib.error) as error:
+        raise JournalError(f"{path}: cannot be read to its end ({error}). Allow reading, or copy it again.") from None
+
+
+def open_journal(path: Path) -> IO[bytes]:
+    return gzip.open(path) if path.name.endswith(".gz") else path.open("rb")
+
+
+def _links_of(path: Path) -> Iterator[Link]:
+    """Of all lines in a chain, as far as the file can be read."""
+    with contextlib.suppress(OSError, EOFError, zlib.error), open_journal(path) as file:
+        while line := file.readline(LAST_BYTES):
+            if link := link_of(line):
+                yield link
+
+
+def _begins(file: int, at: str, *, has_end: bool) -> JournalEntry:
+    """The first word of a chain; it vouches for what stands before it."""
+    before, place, chained = hashlib.sha256(), 0, False
+    while piece := os.pread(file, AT_ONCE_BYTES, place):
+        before.update(piece)
+        chained = chained or b'"hash":"' in piece
+        place += len(piece)
+    if not has_end:
+        before.update(NEW_LINE)
+    lines = _lines_before(file)
+    text = f"{BEGINS} anew: its last line is damaged" if chained else BEGINS
+    return _word(at, f"{text}, after {lines} lines that are not in it" if lines else text, begins=before.hexdigest())
+
+
+def _word(at: str, text: str, **facts: str) -> JournalEntry:
+    return JournalEntry(at=at, kind=JournalKind.CHAIN, text=text, **facts)
+
+
+def _lines_before(file: int) -> int:
+    lines, at, last = 0, 0, NEW_LINE
+    while piece := os.pread(file, AT_ONCE_BYTES, at):
+        lines += piece.count(NEW_LINE)
+        at += len(piece)
+        last = piece[-1:]
+    return lines + (last != NEW_LINE)
+
+
+def _state(file: int) -> tuple[int, int]:
+    found = os.fstat(file)
+    return found.st_ino, found.st_size
+
+
+def _last_lines(file: int) -> tuple[bytes, bytes]:
+    """The last line with an end, and what stands after it without one."""
+    size = os.fstat(file).st_size
+    *before, fragment = os.pread(file, LAST_BYTES, max(size - LAST_BYTES, 0)).split(NEW_LINE)
+    return before[-1] if before else b"", fragment
+
+
+def _newest(rotated: Iterable[Path]) -> Link | None:
+    """Where the chain stands at the end of the files that were rotated away."""
+    links = (link for path in rotated for link in _links_of(path))
+    return max(links, key=lambda link: link.number, default=None)
+
+
+def _write(file: int, content: bytes) -> None:
+    while content:
+        content = content[os.write(file, content) :]
