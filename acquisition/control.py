@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from acquisition.blocks import SampleBlock
-from acquisition.limiter import HoldBack, why_stop
+from acquisition.limiter import HoldBack, most_after, why_stop
 from acquisition.pipeline import Pipeline
 from acquisition.protocol import ProtocolPlayer
 from acquisition.source import Source
@@ -28,6 +28,11 @@ class RunEnded:
     run_id: str
     end: RunEnd
     why: str
+
+
+def let_go_text(why: str) -> str:
+    """What is told of a grasp that the limiter let go."""
+    return f"The grasp was let go with the motor at zero: {why}."
 
 
 class Acquisition:
@@ -126,6 +131,8 @@ class Acquisition:
         return None
 
     def _write(self, command_v: float) -> None:
+        """Set the command, or as much of it as may follow the last one; down it goes at once."""
+        command_v = min(command_v, most_after(self._command_v, self._tool))
         if command_v != self._command_v or command_v == 0.0:
             self._source.write_command(command_v)
             self._command_v = command_v

@@ -18,6 +18,7 @@ WEAKER_S = 0.2  # and less force: slowly, for it may only be late
 TRUSTED_SHARE = 0.25  # of the limit, that is added to both forces before they are compared: small ones are all noise
 RAISE_N_PER_S = 10.0  # a limit that rises is followed so fast: in the 25 ms until an error is felt, 0.25 N at most
 FOLLOW_S = 0.1  # that the force gets to follow a threshold that falls: five times what drive and tissue take
+ROUNDING = 1e-9
 LEAST_HOLD_V = 0.05  # a grasp that is held back goes on: at 0 V the jaws would open
 
 
@@ -40,6 +41,12 @@ def why_stop(limits: ToolLimits, samples: np.ndarray) -> str | None:
     if mean_n > limits.force_ceiling_n:
         return f"force {mean_n:.2f} N is over the ceiling of {limits.force_ceiling_n:.2f} N"
     return None
+
+
+def most_after(command_v: float, tool: Tool) -> float:
+    """The highest command that may follow a block under `command_v`, V: the tool's bound on how fast it rises."""
+    block_s = tool.board.block_samples / tool.board.sample_rate_hz
+    return command_v + tool.limits.max_command_v_per_s * block_s * (1 + ROUNDING)
 
 
 class ThresholdInForce:

@@ -1,0 +1,177 @@
+"""Simulated grasps with the acquisition in the loop: the command depends on the force that is felt, as in a run."""
+
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from acquisition.blocks import SampleBlock
+from acquisition.bus import ForceLimit
+from acquisition.control import Acquisition, RunEnd
+from acquisition.limiter import HoldBack, ThresholdInForce
+from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.simulation.tissue import Deviation
+from acquisition.source import RawBlock
+from config.schema import Protocol, Settings, TissueLibrary, Tool, Trapezoid
+from estimator.session import EstimationSession
+from estimator.worker import limit_of
+
+LEAD_IN_S, HOLD_S, RAMP_DOWN_S, REST_S = 0.25, 0.5, 0.1, 0.1
+SURE_S = 0.06  # after contact, where the study itself says what is told: as early as the estimator names a tissue
+LATE_BLOCKS = (16, 25)  # 80 to 120 ms, around the time after which the limiter believes nothing any more
+
+
+class Told(StrEnum):
+    """What the limiter is told of the tissue."""
+
+    RIGHT = "right"  # as the estimator, live, tells it
+    LATE = "late by 80 to 120 ms"
+    DEAD = "until the estimator dies"
+    WRONG = "another tissue's threshold"
+    WITHDRAWN = "the highest threshold, then the lowest"
+
+
+@dataclass(frozen=True, slots=True)
+class LimitedCase:
+    """One grasp. `strength`, `drive_lag_s` and `deviation` are the truth, of which the limiter knows nothing."""
+
+    tissue: str
+    seed: int
+    told: Told
+    told_tissue: str  # whose threshold is told where it is not the estimator that tells
+    turn_s: float  # after the start of the ramp: the estimator dies, or the threshold falls
+    wanted_n: float  # what the protocol's peak comes to by the tool's map
+    rise_v_per_s: float
+    spread: float = 1.0
+    noise: float = 1.0
+    strength: float = 1.0
+    deviation: Deviation = Deviation()
+    grasps: int = 1
+
+
+class GrasperSource:
+    """A simulated grasper as a source without a board between; a command holds from the next sample on, as there."""
+
+    def __init__(self, grasper: SimulatedGrasper, block_samples: int) -> None:
+        self._grasper, self._block_samples = grasper, block_samples
+        self._command_v, self._tick = 0.0, 0
+        self.force_n: list[float] = []  # true, sample by sample
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._command_v = 0.0
+
+    def read_block(self) -> RawBlock:
+        rows = []
+        for _ in range(self._block_samples):
+            rows.append(self._grasper.step(self._command_v))
+            self.force_n.append(self._grasper.force_n)
+        strain_v, encoder_deg, touch_1_v, touch_2_v = np.array(rows).T
+        command_v = np.full(self._block_samples, self._command_v)
+        tick, self._tick = self._tick, self._tick + self._block_samples
+        return RawBlock(tick, 0, strain_v, encoder_deg, command_v, touch_1_v, touch_2_v)
+
+    def write_command(self, command_v: float) -> None:
+        self._command_v = command_v
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A played case, sample by sample. `threshold_n`: in force, as the limiter was told it."""
+
+    samples: np.ndarray
+    force_n: np.ndarray
+    threshold_n: np.ndarray
+    let_go: int
+    end: RunEnd
+
+
+def protocol_of(case: LimitedCase, tool: Tool) -> Protocol:
+    peak_v = float(tool.command_to_force.command(case.wanted_n))
+    waveform = Trapezoid(
+        shape="trapezoid", peak_v=peak_v, ramp_up_s=peak_v / case.rise_v_per_s, hold_s=HOLD_S,
+        ramp_down_s=RAMP_DOWN_S, rest_s=REST_S,
+    )  # fmt: skip
+    return Protocol(name="limited", title="Limited", lead_in_s=LEAD_IN_S, waveform=waveform)
+
+
+def true_tool(case: LimitedCase, tool: Tool) -> Tool:
+    """The tool as it is, while its file says `tool`."""
+    assert tool.simulation is not None
+    mapping = tool.command_to_force
+    force_n = tuple(case.strength * force_n for force_n in mapping.force_n)
+    noise = tool.noise.model_copy(update={"strain_sd_v": case.noise * tool.noise.strain_sd_v})
+    mechanics = tool.simulation.model_copy(update={"spread_scale": case.spread})
+    changes = {"command_to_force": mapping.model_copy(update={"force_n": force_n}), "noise": noise}
+    return tool.model_copy(update={**changes, "simulation": mechanics})
+
+
+def play(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings, *, limited: bool) -> Played:
+    """Play the case on a new grasper, with the limiter or without it."""
+    grasper = SimulatedGrasper(true_tool(case, tool), library, case.tissue, case.seed, case.deviation)
+    source = GrasperSource(grasper, tool.board.block_samples)
+    hold_back = HoldBack(tool, library, settings.limiter) if limited else None
+    acquisition = Acquisition(source, tool, settings.conditioning, hold_back)
+    acquisition.start("study", protocol_of(case, tool), case.grasps)
+    teller = Teller(case, tool, library, settings)
+    in_force = ThresholdInForce(library, round(settings.limiter.limit_expires_s * tool.board.sample_rate_hz))
+    blocks, thresholds, let_go = [], [], 0
+    while acquisition.running:
+        block = acquisition.turn()
+        assert block is not None, "a grasper's samples have no end"
+        last = block.samples[-1]
+        blocks.append(block.samples)
+        thresholds += [in_force.at(int(last["tick"]), int(last["grasp_start_tick"]))] * len(block.samples)
+        let_go += len(acquisition.take_let_go())
+        for limit in teller.tell(block):
+            acquisition.allow(limit.threshold_n, limit.tick)
+            in_force.tell(limit.threshold_n, limit.tick)
+    (ended,) = acquisition.take_ended()
+    samples = np.concatenate(blocks)
+    return Played(samples, np.array(source.force_n), np.array(thresholds), let_go, ended.end)
+
+
+class Teller:
+    """What reaches the limiter after each block."""
+
+    def __init__(self, case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
+        self._case, self._library = case, library
+        self._rate_hz = tool.board.sample_rate_hz
+        self._turn_tick = (LEAD_IN_S + case.turn_s) * self._rate_hz
+        estimated = case.told in (Told.RIGHT, Told.LATE, Told.DEAD)
+        self._session = EstimationSession(tool, library, settings) if estimated else None
+        self._under_way: deque[tuple[int, ForceLimit]] = deque()  # when it arrives, and what
+        self._rng = np.random.default_rng([case.seed, 3])
+
+    def tell(self, block: SampleBlock) -> list[ForceLimit]:
+        """The limits that arrive right after this block."""
+        last = block.samples[-1]
+        tick = int(last["tick"])
+        if self._session is None:
+            return self._say(tick, int(last["contact_tick"]))
+        if self._case.told is Told.DEAD and tick > self._turn_tick:
+            return []
+        limit = limit_of(self._session.process(block).identification)
+        if self._case.told is not Told.LATE:
+            return [limit]
+        delay = len(block.samples) * int(self._rng.integers(*LATE_BLOCKS))
+        arrives = max(tick + delay, self._under_way[-1][0] if self._under_way else 0)  # none passes another
+        self._under_way.append((arrives, limit))
+        arrived = []
+        while self._under_way and self._under_way[0][0] <= tick:
+            arrived.append(self._under_way.popleft()[1])
+        return arrived
+
+    def _say(self, tick: int, contact_tick: int) -> list[ForceLimit]:
+        if contact_tick < 0 or tick < contact_tick + SURE_S * self._rate_hz:
+            return []
+        fallen = self._case.told is Told.WITHDRAWN and tick > self._turn_tick
+        threshold_n = self._library.lowest_threshold_n if fallen else self._library.threshold_n(self._case.told_tissue)
+        return [ForceLimit(threshold_n, None, tick)]
