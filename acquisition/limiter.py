@@ -115,7 +115,7 @@ class HoldBack:
         threshold_n = self._threshold.at(int(last["tick"]), int(last["grasp_start_tick"]))
         self._followed.append(threshold_n)
         force_n = middle_of(samples["jaw_force_n"].tolist())
-        expected_n = self._expected.at_middle(int(samples["tick"][0]), len(samples), int(last["contact_tick"]), force_n)
+        expected_n = self._expected.at_middle(int(samples["tick"][0]), len(samples), int(last["contact_tick"]))
         self._touched |= bool(last["contact_tick"] >= 0)
         if wanted_v <= COMMAND_ON_V:  # between grasps
             self._learn()
@@ -185,12 +185,12 @@ class ExpectedForce:
         self.driven_n, self._felt_n = 0.0, 0.0  # after the first lag and after both
         self._contact_tick = -1
 
-    def at_middle(self, first_tick: int, samples: int, contact_tick: int, force_n: float | None) -> float:
-        """Follow a block; returns the force, N, at its middle, where `force_n` was measured.
+    def at_middle(self, first_tick: int, samples: int, contact_tick: int) -> float:
+        """Follow a block; returns the force, N, at its middle.
 
         Jaws that came freely begin at no force when they touch, at `contact_tick`; until then it is -1.
         """
-        if contact_tick >= 0 and contact_tick != self._contact_tick and (force_n or 0.0) < 0.5 * self._felt_n:
+        if contact_tick >= 0 and contact_tick != self._contact_tick:
             self._felt_n = self.driven_n * (1.0 - (1.0 - self._share) ** max(first_tick - contact_tick, 0))
         self._contact_tick = contact_tick
         middle_n = self._felt_n
