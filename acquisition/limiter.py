@@ -13,13 +13,14 @@ INVALID, SATURATED, IN_GRASP = Flag.INVALID.value, Flag.SATURATED.value, Flag.IN
 HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
 
 LAG_S = 0.009  # each of two lags in a row from command to force: 8 ms of drive, 10 ms of cable and tissue in simulation
-STRONGER_S = 0.007  # how fast more force than the map tells is believed: about a block, so that one does not decide
+STRONGER_S = 0.003  # how fast more force than the map tells is believed: most of it within a block
 WEAKER_S = 0.2  # and less force: slowly, for it may only be late
-TRUSTED_SHARE = 0.25  # of the limit, that is added to both forces before they are compared: small ones are all noise
+TRUSTED_SHARE = 0.08  # of the limit, that is added to both forces before they are compared: small ones are all noise
 RAISE_N_PER_S = 10.0  # a limit that rises is followed so fast: in the 25 ms until an error is felt, 0.25 N at most
-FOLLOW_S = 0.1  # that the force gets to follow a threshold that falls: five times what drive and tissue take
+FOLLOW_S = 0.1  # that the force gets to follow a threshold that falls, five times what drive and tissue take; and that
+# one that rises has to hold before it is followed: answers that come too late now and then do not shake the motor
 ROUNDING = 1e-9
-AIM_SHARE = 0.95  # of the limit: noise, friction of the cable and a gage that reads 3 % short stay below it
+AIM_SHARE = 0.93  # of the limit: noise, friction of the cable and a gage that reads 3 % short stay below it
 LEAST_HOLD_V = 0.05  # a grasp that is held back goes on: at 0 V the jaws would open
 
 
@@ -75,8 +76,8 @@ class HoldBack:
 
     The tool's map from command to force tells, through the drive's lag, what force the commands so far should have come
     to by now. The force felt in proportion to that is how strong the tool is, and so tells what the next command would
-    come to: commands still on their way are counted, and a map that is wrong is soon put right. Where what is on its way
-    would pass the limit, the command drops below what holds, down to next to nothing, until it would not.
+    come to: commands still on their way are counted, and a map that is wrong is soon put right. Where the
+    drive by itself is beyond the limit already, the command drops below what holds, until it is not.
 
     Where the force passes the threshold itself, or stays over the limit all the same, the grasp is let go: the command
     stays at zero until the protocol asks for zero, too.
@@ -89,7 +90,7 @@ class HoldBack:
         self._map = tool.command_to_force
         self._margin = settings.margin
         self._threshold = ThresholdInForce(library, round(settings.limit_expires_s * rate_hz))
-        self._followed: deque[float] = deque(maxlen=1 + round(FOLLOW_S / self._block_s))  # thresholds, block by block
+        self._followed: deque[float] = deque(maxlen=1 + round(FOLLOW_S / self._block_s))  # thresholds, by block
         self._limit_n = settings.margin * library.lowest_threshold_n
         self._expected = ExpectedForce(tool)
         self._strength = 1.0  # of the tool, in proportion to its map
@@ -123,7 +124,7 @@ class HoldBack:
             self._over_blocks = 0
             return self._ask(wanted_v), 0
         self._grasped = True
-        self._limit_n = min(self._margin * threshold_n, self._limit_n + RAISE_N_PER_S * self._block_s)
+        self._limit_n = min(self._margin * min(self._followed), self._limit_n + RAISE_N_PER_S * self._block_s)
         trusted_n = TRUSTED_SHARE * self._limit_n
         seen = self._strength
         if force_n is not None:

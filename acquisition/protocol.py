@@ -45,7 +45,7 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
     fastest_v_per_s = float(np.diff(command).max()) * rate_hz
     if fastest_v_per_s > tool.limits.max_command_v_per_s * (1 + ROUNDING):
         raise RefusedError(
-            f"Protocol {protocol.name!r} rises by up to {fastest_v_per_s:.1f} V/s; the tool {tool.name!r} allows at most "
+            f"Protocol {protocol.name!r} rises by {fastest_v_per_s:.1f} V/s; the tool {tool.name!r} allows at most "
             f"{tool.limits.max_command_v_per_s:.1f} V/s. Make its ramps longer or lower, or choose another protocol."
         )
     return command

@@ -2,7 +2,6 @@
 
 from collections import deque
 from dataclasses import dataclass
-from enum import StrEnum
 from types import TracebackType
 from typing import Self
 
@@ -10,46 +9,19 @@ import numpy as np
 
 from acquisition.blocks import SampleBlock
 from acquisition.bus import ForceLimit
-from acquisition.control import Acquisition, RunEnd
+from acquisition.control import Acquisition
 from acquisition.limiter import HoldBack, ThresholdInForce
+from acquisition.protocol import ProtocolPlayer
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.simulation.tissue import Deviation
 from acquisition.source import RawBlock
 from config.schema import Protocol, Settings, TissueLibrary, Tool, Trapezoid
 from estimator.session import EstimationSession
+from estimator.studies.limited_cases import HOLD_S, LimitedCase, Told
 from estimator.worker import limit_of
 
-LEAD_IN_S, HOLD_S, RAMP_DOWN_S, REST_S = 0.25, 0.5, 0.1, 0.1
+LEAD_IN_S, RAMP_DOWN_S, REST_S = 0.25, 0.1, 0.2
 SURE_S = 0.06  # after contact, where the study itself says what is told: as early as the estimator names a tissue
 LATE_BLOCKS = (16, 25)  # 80 to 120 ms, around the time after which the limiter believes nothing any more
-
-
-class Told(StrEnum):
-    """What the limiter is told of the tissue."""
-
-    RIGHT = "right"  # as the estimator, live, tells it
-    LATE = "late by 80 to 120 ms"
-    DEAD = "until the estimator dies"
-    WRONG = "another tissue's threshold"
-    WITHDRAWN = "the highest threshold, then the lowest"
-
-
-@dataclass(frozen=True, slots=True)
-class LimitedCase:
-    """One grasp. `strength`, `drive_lag_s` and `deviation` are the truth, of which the limiter knows nothing."""
-
-    tissue: str
-    seed: int
-    told: Told
-    told_tissue: str  # whose threshold is told where it is not the estimator that tells
-    turn_s: float  # after the start of the ramp: the estimator dies, or the threshold falls
-    wanted_n: float  # what the protocol's peak comes to by the tool's map
-    rise_v_per_s: float
-    spread: float = 1.0
-    noise: float = 1.0
-    strength: float = 1.0
-    deviation: Deviation = Deviation()
-    grasps: int = 1
 
 
 class GrasperSource:
@@ -84,13 +56,12 @@ class GrasperSource:
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """A played case, sample by sample. `threshold_n`: in force, as the limiter was told it."""
+    """A played case, sample by sample: conditioned samples of dtype SAMPLE, the true force at the jaws, and the injury
+    threshold in force as the limiter was told it."""
 
     samples: np.ndarray
     force_n: np.ndarray
     threshold_n: np.ndarray
-    let_go: int
-    end: RunEnd
 
 
 def protocol_of(case: LimitedCase, tool: Tool) -> Protocol:
@@ -108,34 +79,48 @@ def true_tool(case: LimitedCase, tool: Tool) -> Tool:
     mapping = tool.command_to_force
     force_n = tuple(case.strength * force_n for force_n in mapping.force_n)
     noise = tool.noise.model_copy(update={"strain_sd_v": case.noise * tool.noise.strain_sd_v})
-    mechanics = tool.simulation.model_copy(update={"spread_scale": case.spread})
+    mechanics = tool.simulation
+    moved = {
+        "spread_scale": case.spread * mechanics.spread_scale,
+        "drive_lag_s": case.lags * mechanics.drive_lag_s,
+        "contact_lag_s": case.lags * mechanics.contact_lag_s,
+    }
     changes = {"command_to_force": mapping.model_copy(update={"force_n": force_n}), "noise": noise}
-    return tool.model_copy(update={**changes, "simulation": mechanics})
+    return tool.model_copy(update={**changes, "simulation": mechanics.model_copy(update=moved)})
 
 
-def play(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings, *, limited: bool) -> Played:
-    """Play the case on a new grasper, with the limiter or without it."""
-    grasper = SimulatedGrasper(true_tool(case, tool), library, case.tissue, case.seed, case.deviation)
-    source = GrasperSource(grasper, tool.board.block_samples)
-    hold_back = HoldBack(tool, library, settings.limiter) if limited else None
-    acquisition = Acquisition(source, tool, settings.conditioning, hold_back)
+def play(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings) -> Played:
+    """Play the case on a new grasper with the acquisition and its limiter, and the estimator where the case asks it."""
+    source = GrasperSource(_grasper(case, tool, library), tool.board.block_samples)
+    acquisition = Acquisition(source, tool, settings.conditioning, HoldBack(tool, library, settings.limiter))
     acquisition.start("study", protocol_of(case, tool), case.grasps)
     teller = Teller(case, tool, library, settings)
     in_force = ThresholdInForce(library, round(settings.limiter.limit_expires_s * tool.board.sample_rate_hz))
-    blocks, thresholds, let_go = [], [], 0
+    blocks, thresholds = [], []
     while acquisition.running:
         block = acquisition.turn()
         assert block is not None, "a grasper's samples have no end"
         last = block.samples[-1]
         blocks.append(block.samples)
         thresholds += [in_force.at(int(last["tick"]), int(last["grasp_start_tick"]))] * len(block.samples)
-        let_go += len(acquisition.take_let_go())
         for limit in teller.tell(block):
             acquisition.allow(limit.threshold_n, limit.tick)
             in_force.tell(limit.threshold_n, limit.tick)
-    (ended,) = acquisition.take_ended()
-    samples = np.concatenate(blocks)
-    return Played(samples, np.array(source.force_n), np.array(thresholds), let_go, ended.end)
+    return Played(np.concatenate(blocks), np.array(source.force_n), np.array(thresholds))
+
+
+def force_without(case: LimitedCase, tool: Tool, library: TissueLibrary) -> np.ndarray:
+    """The true force of the same case where the motor gets what the protocol asks for, N, sample by sample."""
+    source = GrasperSource(_grasper(case, tool, library), tool.board.block_samples)
+    player = ProtocolPlayer(protocol_of(case, tool), tool, case.grasps)
+    while not player.done:
+        source.read_block()
+        source.write_command(player.advance(tool.board.block_samples))
+    return np.array(source.force_n)
+
+
+def _grasper(case: LimitedCase, tool: Tool, library: TissueLibrary) -> SimulatedGrasper:
+    return SimulatedGrasper(true_tool(case, tool), library, case.tissue, case.seed, case.deviation)
 
 
 class Teller:

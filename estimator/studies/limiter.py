@@ -1,90 +1,67 @@
-"""`graspwatch study limiter`: is the force held under the limit in force, and are grasps still held by it?"""
+"""`graspwatch study limiter`: is the force held under the limit in force, and does the grasp still hold?"""
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, replace
 
 import numpy as np
 import plotly.graph_objects as go
 
-from acquisition.blocks import Flag
-from acquisition.limiter import FOLLOW_S
-from acquisition.simulation.tissue import Deviation
-from config.schema import TissueLibrary, Tool
-from estimator.studies.course import Bench, set_up
-from estimator.studies.limited import HOLD_S, LEAD_IN_S, LimitedCase, Played, Told, play, protocol_of
+from estimator.studies.course import Bench, Lab, set_up
+from estimator.studies.limited import LEAD_IN_S, force_without, play
+from estimator.studies.limited_cases import FAST_V_PER_S, LimitedCase, Told, beyond, draw
+from estimator.studies.limited_measures import Outcome, measure
 from estimator.studies.report import PALETTE, Figure, Study, Table
 from estimator.studies.runner import Progress, run_cases
 
-MOST_WANTED_N, LEAST_WANTED_N = 5.0, 0.5
-SLOWEST_RAMP_V_PER_S = 2.0
-STRENGTHS, SCALES = (1 / 1.5, 1.5), (0.97, 1.03)
-FRICTION, BACKLASH_M = 0.05, 100e-6
 BOARD_V = 10.0  # what the board can give: commands up to 5 N by the map need 8.9 V
-MOST_OVER_SHARE, MOST_OVER, LEAST_HELD = 0.1, 5.0, 60.0  # %
-SETTLED = 0.05  # of what is held in the end
-SWING_V = 0.05  # a command that turns by less does not chatter: 0.025 N
-PLATEAU_S = 0.2  # before the protocol ends the hold
+MOST_OVER, FURTHEST_OVER, LEAST_HELD = 0.1, 5.0, 99.0  # %
+HOLDS = 0.6  # of what is allowed
+BEYOND_SHARE = 40  # one grasp in so many is played again with each thing that no limiter can know
+EXAMPLE = LimitedCase("liver", 1, Told.DEAD, "liver", 0.3, 4.0, 40.0)  # the estimator dies within the hold
+STRENGTH_BANDS = ((0.0, 0.9), (0.9, 1.1), (1.1, 1.3), (1.3, 9.0))
+EXPLANATION = """Each grasp is played twice on the same specimen, with the limiter and without it, by the acquisition
+as it runs live: tissues in turn, the spreads of their specimens once and twice, strain noise once and three times the
+usual, commands for 0.5 to 5 N, ramps up to the fastest that the tool allows, and a tool that differs from its file in its
+strength, its strain gage, friction and backlash. The limit in force is margin times the threshold in force as the
+limiter is told it, also where that is wrong. Forces are the true ones at the jaws. A limit that falls below the force
+counts 0.1 s later; how long the force took is told by itself.
 
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of a case. Forces are the true ones at the jaws, shares are of the limit in force."""
-
-    case: LimitedCase
-    peak: float
-    peak_n: float
-    peak_without: float
-    peak_without_n: float
-    injures: bool  # over the true tissue's threshold
-    injures_without: bool
-    is_limited: bool
-    touched: bool
-    let_go: bool
-    held: float  # share of what is allowed: of the limit, or of what the protocol comes to where that is less
-    settled_s: float | None  # since contact
-    reversals_per_s: float
-    over_fallen_s: float | None  # for how long the force was over a limit that fell
-    differs_v: float  # largest difference of the command from that without the limiter
+Every grasp is the tool's first: nothing has been learned of its strength. What is beyond these bounds has a table of
+its own."""
 
 
 def limiter(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int | None = None) -> Study:
+    """Run the study: `grasps` of each tissue."""
     lab = _lab(bench)
-    cases = draw(lab.library, lab.tool, 4 * grasps, seed)
-    outcomes = run_cases(_outcome, [(bench, case) for case in cases], progress, jobs)
-    raise NotImplementedError(outcomes)
+    cases = draw(lab.library, lab.tool, grasps, seed)
+    further = beyond(cases, max(len(cases) // BEYOND_SHARE, 1))
+    jobs_to_do = [(bench, case) for case in [*cases, *(case for those in further.values() for case in those)]]
+    outcomes = run_cases(_outcome, jobs_to_do, progress, jobs)
+    own, each = outcomes[: len(cases)], len(outcomes[len(cases) :]) // len(further)
+    beyond_them = {kind: outcomes[len(cases) + k * each :][:each] for k, kind in enumerate(further)}
+    used = {key: value for key, value in asdict(bench).items() if key not in ("protocol", "thickness")}
+    study = Study(
+        "limiter",
+        "Force held under the limit",
+        {**used, "grasps": len(cases), "margin": lab.settings.limiter.margin, "seed": seed},
+        EXPLANATION,
+    )
+    study.figures = _figures(own)
+    study.parts = [
+        _by("What the limiter is told", own, [told.value for told in Told], lambda o: o.case.told.value),
+        _by("Tissue", own, [*lab.library.tissues], lambda o: o.case.tissue),
+        _by("Strength of the tool, times its map", own, [_band(low) for low, _ in STRENGTH_BANDS],
+            lambda o: next(_band(low) for low, high in STRENGTH_BANDS if low <= o.case.strength < high)),
+        _by("Ramp", own, ["slower than 20 V/s", "faster"],
+            lambda o: "faster" if o.case.rise_v_per_s >= FAST_V_PER_S else "slower than 20 V/s"),
+        _beyond_table(beyond_them),
+        ("Highest force, as a share of the limit in force", _peaks_figure(own)),
+        ("A liver that is named, until the estimator dies", _course_figure(lab)),
+    ]  # fmt: skip
+    return study
 
 
-def draw(library: TissueLibrary, tool: Tool, grasps: int, seed: int) -> list[LimitedCase]:
-    """Grasps over everything at random, tissues and ways of being told in turn."""
-    names, ways = list(library.tissues), list(Told)
-    return [_draw(library, tool, names[i % len(names)], ways[i // len(names) % len(ways)], seed, i) for i in range(grasps)]
-
-
-def _draw(library: TissueLibrary, tool: Tool, tissue: str, told: Told, seed: int, i: int) -> LimitedCase:
-    rng = np.random.default_rng([seed, i])
-    wanted_n = float(rng.uniform(LEAST_WANTED_N, MOST_WANTED_N))
-    rise_v_per_s = float(np.exp(rng.uniform(np.log(SLOWEST_RAMP_V_PER_S), np.log(tool.limits.max_command_v_per_s))))
-    peak_v = float(tool.command_to_force.command(wanted_n))
-    return LimitedCase(
-        tissue, seed * 1_000_000 + i, told, _told_tissue(library, tissue, told, rng),
-        turn_s=float(rng.uniform(0.0, peak_v / rise_v_per_s + HOLD_S - 2 * FOLLOW_S)),
-        wanted_n=wanted_n, rise_v_per_s=min(rise_v_per_s, tool.limits.max_command_v_per_s),
-        spread=float(rng.choice([1.0, 2.0])), noise=float(rng.choice([1.0, 3.0])),
-        strength=float(np.exp(rng.uniform(*np.log(STRENGTHS)))),
-        deviation=Deviation(
-            force_scale=float(rng.uniform(*SCALES)), friction_share=float(rng.uniform(0.0, FRICTION)),
-            backlash_m=float(rng.uniform(0.0, BACKLASH_M)),
-        ),
-    )  # fmt: skip
-
-
-def _told_tissue(library: TissueLibrary, tissue: str, told: Told, rng: np.random.Generator) -> str:
-    """Whose threshold is told wrongly: one of those that are higher, where there is one."""
-    by_threshold = sorted(library.tissues, key=library.threshold_n)
-    higher = [name for name in by_threshold if library.threshold_n(name) > library.threshold_n(tissue)]
-    return by_threshold[-1] if told is Told.WITHDRAWN or not higher else str(rng.choice(higher))
-
-
-def _lab(bench: Bench):
+def _lab(bench: Bench) -> Lab:
     lab = set_up(bench)
     limits = lab.tool.limits.model_copy(update={"max_command_v": BOARD_V})
     return replace(lab, tool=lab.tool.model_copy(update={"limits": limits}))
@@ -93,72 +70,129 @@ def _lab(bench: Bench):
 def _outcome(job: tuple[Bench, LimitedCase]) -> Outcome:
     bench, case = job
     lab = _lab(bench)
-    with_it = play(case, lab.tool, lab.library, lab.settings, limited=True)
-    without = play(replace(case, told=Told.WRONG), lab.tool, lab.library, lab.settings, limited=False)
-    return measure(case, lab.tool, lab.library, lab.settings.limiter.margin, with_it, without)
+    with_it = play(case, lab.tool, lab.library, lab.settings)
+    without_n = force_without(case, lab.tool, lab.library)
+    return measure(case, lab.tool, lab.library, lab.settings.limiter.margin, with_it, without_n)
 
 
-def measure(
-    case: LimitedCase, tool: Tool, library: TissueLibrary, margin: float, with_it: Played, without: Played
-) -> Outcome:
-    """Compare both plays of a case."""
-    rate_hz = tool.board.sample_rate_hz
-    limit_n = margin * with_it.threshold_n
-    grace_n = _most_of_last(limit_n, round(FOLLOW_S * rate_hz))
-    n = min(len(with_it.force_n), len(without.force_n))
-    threshold_n = library.threshold_n(case.tissue)
-    force_n, flags = with_it.force_n, with_it.samples["flags"]
-    ramp_s = protocol_of(case, tool).waveform.ramp_up_s
-    end = round((LEAD_IN_S + ramp_s + HOLD_S) * rate_hz)
-    plateau = slice(end - round(PLATEAU_S * rate_hz), end)
-    contact = np.flatnonzero(force_n > 0)
-    allowed_n = min(float(np.median(limit_n[plateau])), case.strength * case.wanted_n)
-    held_n = float(np.median(force_n[plateau]))
-    command_v = with_it.samples["motor_command_v"]
-    return Outcome(
-        case,
-        float((force_n / grace_n).max()), float(force_n.max()),
-        float((without.force_n[:n] / grace_n[:n]).max()), float(without.force_n.max()),
-        bool(force_n.max() > threshold_n), bool(without.force_n.max() > threshold_n),
-        bool((flags & Flag.HELD_BACK).any()), bool(len(contact)), with_it.let_go > 0,
-        held_n / allowed_n,
-        _settled_s(force_n[contact[0] : end], held_n, rate_hz) if len(contact) and held_n > 0 else None,
-        reversals(command_v[plateau]) / PLATEAU_S,
-        _over_fallen_s(force_n, limit_n, rate_hz),
-        float(np.abs(command_v[:n] - without.samples["motor_command_v"][:n]).max()),
-    )  # fmt: skip
+def _figures(outcomes: list[Outcome]) -> list[Figure]:
+    touched = [o for o in outcomes if o.touched]
+    return [
+        Figure("over the limit in force", _share(o.peak > 1 for o in outcomes), "%", at_most=MOST_OVER),
+        Figure("furthest over it", _furthest(o.peak for o in outcomes), "%", at_most=FURTHEST_OVER),
+        Figure("without the limiter: over it", _share(o.peak_without > 1 for o in outcomes), "%"),
+        Figure("without the limiter: furthest over it", _furthest(o.peak_without for o in outcomes), "%"),
+        Figure("hold at least 60 % of the allowed force", _share(o.held >= HOLDS for o in touched), "%",
+               at_least=LEAST_HELD),
+        Figure("allowed force that is held, median of those held back",
+               _middle(100 * o.held for o in touched if o.held_back), "%"),
+        Figure("allowed force that is held, least", 100 * min((o.held for o in touched), default=0.0), "%"),
+        Figure("overshoot over what is held, median", _middle(_known(o.overshoot for o in outcomes), 100), "%"),
+        Figure("overshoot over what is held, 99 in 100 below",
+               _middle(_known(o.overshoot for o in outcomes), 100, 0.99), "%"),
+        Figure("settling time since contact, median", _middle(_known(o.settled_s for o in outcomes), 1e3), "ms"),
+        Figure("settling time since contact, fast ramps, median",
+               _middle(_known(o.settled_s for o in outcomes if o.case.rise_v_per_s >= FAST_V_PER_S), 1e3), "ms"),
+        Figure("command reversals a second while held", float(np.mean([o.reversals_per_s for o in outcomes])), ""),
+        Figure("over a limit that fell, 99 in 100 shorter",
+               _middle(_known(o.over_fallen_s for o in outcomes), 1e3, 0.99), "ms"),
+        Figure("let go", _share(o.let_go for o in outcomes), "%"),
+        Figure("over the held tissue's own threshold", _share(o.injures for o in outcomes), "%",
+               note="only where another tissue's threshold is told"),
+        Figure("without the limiter: over the held tissue's own threshold",
+               _share(o.injures_without for o in outcomes), "%"),
+    ]  # fmt: skip
 
 
-def _most_of_last(values: np.ndarray, samples: int) -> np.ndarray:
-    padded = np.concatenate([np.full(samples, values[0]), values])
-    return np.lib.stride_tricks.sliding_window_view(padded, samples + 1).max(axis=1)
+def _by(title: str, outcomes: list[Outcome], kinds: list[str], kind_of: Callable[[Outcome], str]) -> Table:
+    columns = [
+        title, "grasps", "over the limit, %", "furthest, %", "without, %", "furthest, %", "over the own threshold, %",
+        "without, %", "hold 60 %, %", "median held, %",
+    ]  # fmt: skip
+    rows = [[kind, *_row([o for o in outcomes if kind_of(o) == kind])] for kind in kinds]
+    return Table(title, columns, rows)
 
 
-def _settled_s(force_n: np.ndarray, held_n: float, rate_hz: float) -> float:
-    """Time since contact after which the force stays where it is held."""
-    off = np.flatnonzero(np.abs(force_n - held_n) > SETTLED * held_n)
-    return (int(off[-1]) + 1 if len(off) else 0) / rate_hz
+def _row(those: list[Outcome]) -> list[float | int | None]:
+    if not those:
+        return [0, *[None] * 8]
+    return [
+        len(those),
+        _share(o.peak > 1 for o in those), _furthest(o.peak for o in those),
+        _share(o.peak_without > 1 for o in those), _furthest(o.peak_without for o in those),
+        _share(o.injures for o in those), _share(o.injures_without for o in those),
+        _share(o.held >= HOLDS for o in those if o.touched),
+        _middle(100 * o.held for o in those if o.touched and o.held_back),
+    ]  # fmt: skip
 
 
-def _over_fallen_s(force_n: np.ndarray, limit_n: np.ndarray, rate_hz: float) -> float | None:
-    """For how long the force was over a limit after it fell; None where it never fell onto the force."""
-    falls = np.flatnonzero((np.diff(limit_n) < 0) & (force_n[1:] > limit_n[1:])) + 1
-    if not len(falls):
-        return None
-    over = np.flatnonzero(force_n[falls[0] :] > limit_n[falls[0] :])
-    gaps = np.flatnonzero(np.diff(over) > 1)
-    return float((over[gaps[0]] if len(gaps) else over[-1]) + 1) / rate_hz
+def _beyond_table(outcomes: dict[str, list[Outcome]]) -> Table:
+    columns = [
+        "beyond", "first grasp over the limit, %", "furthest, %", "let go, %", "later ones over it, %", "furthest, %",
+        "let go, %", "hold 60 %, %",
+    ]  # fmt: skip
+    rows = [
+        [
+            kind,
+            _share(o.peak > 1 for o in those), _furthest(o.peak for o in those), _share(o.let_go for o in those),
+            _share(o.peak_later > 1 for o in those), _furthest(o.peak_later for o in those),
+            _share(o.let_go_later for o in those), _share(o.held >= HOLDS for o in those if o.touched),
+        ]
+        for kind, those in outcomes.items()
+    ]  # fmt: skip
+    note = "Two grasps in a row on fast ramps, another tissue's threshold told; all else as above but the strength."
+    return Table("Beyond what a limiter can know", columns, rows, note)
 
 
-def reversals(command_v: np.ndarray) -> int:
-    """How often the command turns, swings below SWING_V left out."""
-    count, direction, extreme = 0, 0, float(command_v[0])
-    for value in command_v.tolist():
-        if direction >= 0 and value > extreme or direction <= 0 and value < extreme:
-            if direction == 0 and abs(value - extreme) < SWING_V:
-                continue
-            direction = direction or (1 if value > extreme else -1)
-            extreme = value
-        elif abs(value - extreme) >= SWING_V:
-            count, direction, extreme = count + 1, -direction, value
-    return count
+def _band(low: float) -> str:
+    high = next(high for begin, high in STRENGTH_BANDS if begin == low)
+    return f"below {high:g}" if low == 0 else f"from {low:g}" if high > 2 else f"{low:g} to {high:g}"
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def _share(each: Iterable[bool]) -> float:
+    found = list(each)
+    return 100 * sum(found) / max(len(found), 1)
+
+
+def _furthest(peaks: Iterable[float]) -> float:
+    """How far the highest is over the limit, %; 0 where none is."""
+    return 100 * max(0.0, *(peak - 1.0 for peak in peaks))
+
+
+def _middle(values: Iterable[float], times: float = 1.0, quantile: float = 0.5) -> float | None:
+    found = list(values)
+    return times * float(np.quantile(found, quantile)) if found else None
+
+
+def _peaks_figure(outcomes: list[Outcome]) -> go.Figure:
+    figure = go.Figure()
+    shares = np.arange(1, len(outcomes) + 1) / len(outcomes)
+    for name, peaks, colour in (
+        ("with the limiter", [o.peak for o in outcomes], PALETTE[0]),
+        ("without", [o.peak_without for o in outcomes], PALETTE[1]),
+    ):
+        figure.add_scatter(x=np.sort(peaks), y=shares, name=name, line={"color": colour, "shape": "hv"})
+    figure.add_vline(x=1.0, line={"color": "#000000", "dash": "dash", "width": 1})
+    figure.update_layout(xaxis_title="highest force / limit in force", yaxis_title="share of grasps")
+    return figure
+
+
+def _course_figure(lab: Lab) -> go.Figure:
+    figure = go.Figure()
+    with_it, without_n = (
+        play(EXAMPLE, lab.tool, lab.library, lab.settings),
+        force_without(EXAMPLE, lab.tool, lab.library),
+    )
+    since_ms = np.arange(len(with_it.force_n)) * 1e3 / lab.tool.board.sample_rate_hz - 1e3 * LEAD_IN_S
+    limit_n = lab.settings.limiter.margin * with_it.threshold_n
+    figure.add_scatter(x=since_ms, y=with_it.force_n, name="force with the limiter", line={"color": PALETTE[0]})
+    figure.add_scatter(x=since_ms, y=without_n, name="without", line={"color": PALETTE[1]})
+    figure.add_scatter(
+        x=since_ms, y=limit_n, name="limit in force", line={"color": "#000000", "dash": "dash", "width": 1}
+    )
+    figure.update_layout(xaxis_title="since the ramp's start, ms", yaxis_title="force at the jaws, N")
+    return figure
