@@ -21,8 +21,8 @@ EXAMPLE = LimitedCase("liver", 1, Told.DEAD, "liver", 0.3, 4.0, 40.0)  # the est
 STRENGTH_BANDS = ((0.0, 0.9), (0.9, 1.1), (1.1, 1.3), (1.3, 9.0))
 EXPLANATION = """Each grasp is played twice on the same specimen, with the limiter and without it, by the acquisition
 as it runs live: tissues in turn, the spreads of their specimens once and twice, strain noise once and three times the
-usual, commands for 0.5 to 5 N, ramps up to the fastest that the tool allows, and a tool that differs from its file in its
-strength, its strain gage, friction and backlash. The limit in force is margin times the threshold in force as the
+usual, commands for 0.5 to 5 N, ramps up to the fastest that the tool allows, and a tool that differs from its file in
+its strength, its strain gage, friction and backlash. The limit in force is margin times the threshold in force as the
 limiter is told it, also where that is wrong. Forces are the true ones at the jaws. A limit that falls below the force
 counts 0.1 s later; how long the force took is told by itself.
 
