@@ -176,4 +176,4 @@ def test_a_force_that_is_not_known_lets_nothing_go_and_leaves_the_limit() -> Non
     for number in range(40):
         command_v, flags = hold_back.judge(in_a_grasp(number, [math.nan] * 5, 0), 3.5)
         assert flags == Flag.HELD_BACK
-        assert command_v == pytest.approx(2.25, abs=0.01)  # what the map tells for 93 % of 1.80 N
+    assert command_v == pytest.approx(2.25, abs=0.01)  # what the map tells for 93 % of 1.80 N
