@@ -260,7 +260,7 @@ def test_spikes_of_the_strain_gage_neither_let_go_nor_shake():
 
 
 def test_a_force_over_the_threshold_lets_that_grasp_go_but_not_the_run_and_teaches_the_next_one():
-    found = run("liver", 3, strong(0.0625), cycles=3, true=as_strong_as(2.5))
+    found = run("liver", 3, strong(0.0625), cycles=3, true=as_strong_as(4.0))
     assert len(found.let_go) == 1
     assert "passed the injury threshold of 2.25 N" in found.let_go[0]
     over = int(np.flatnonzero(measured_n(found.samples) > LOWEST_N)[0]) * 5
