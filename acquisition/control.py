@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from acquisition.blocks import Flag, SampleBlock
-from acquisition.limiter import HoldBack, why_stop
+from acquisition.limiter import HoldBack, most_after, why_stop
 from acquisition.pipeline import Pipeline
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import IN_RUN, MOVING, WATCHED, Event, Safety, after
@@ -32,6 +32,11 @@ class RunEnded:
     run_id: str
     end: RunEnd
     why: str
+
+
+def let_go_text(why: str) -> str:
+    """What is told of a grasp that the limiter let go."""
+    return f"The grasp was let go with the motor at zero: {why}."
 
 
 class Acquisition:
@@ -196,8 +201,9 @@ class Acquisition:
         return None
 
     def _write(self, command_v: float) -> None:
-        if self.safety not in MOVING:
-            command_v = 0.0
+        """Set the command, or as much of it as may follow the last one; down it goes at once."""
+        most_v = most_after(self._command_v, self._tool) if self.safety in MOVING else 0.0
+        command_v = min(command_v, most_v)
         if command_v != self._command_v or command_v == 0.0:
             self._source.write_command(command_v)
             self._command_v = command_v

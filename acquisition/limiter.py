@@ -13,11 +13,14 @@ INVALID, SATURATED, IN_GRASP = Flag.INVALID.value, Flag.SATURATED.value, Flag.IN
 HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
 
 LAG_S = 0.009  # each of two lags in a row from command to force: 8 ms of drive, 10 ms of cable and tissue in simulation
-STRONGER_S = 0.007  # how fast more force than the map tells is believed: about a block, so that one does not decide
+STRONGER_S = 0.003  # how fast more force than the map tells is believed: most of it within a block
 WEAKER_S = 0.2  # and less force: slowly, for it may only be late
-TRUSTED_SHARE = 0.25  # of the limit, that is added to both forces before they are compared: small ones are all noise
+TRUSTED_SHARE = 0.08  # of the limit, that is added to both forces before they are compared: small ones are all noise
 RAISE_N_PER_S = 10.0  # a limit that rises is followed so fast: in the 25 ms until an error is felt, 0.25 N at most
-FOLLOW_S = 0.1  # that the force gets to follow a threshold that falls: five times what drive and tissue take
+FOLLOW_S = 0.1  # that the force gets to follow a threshold that falls, five times what drive and tissue take; and that
+# one that rises has to hold before it is followed: answers that come too late now and then do not shake the motor
+ROUNDING = 1e-9
+AIM_SHARE = 0.93  # of the limit: noise, friction of the cable and a gage that reads 3 % short stay below it
 LEAST_HOLD_V = 0.05  # a grasp that is held back goes on: at 0 V the jaws would open
 
 
@@ -42,6 +45,12 @@ def why_stop(limits: ToolLimits, samples: np.ndarray) -> str | None:
     return None
 
 
+def most_after(command_v: float, tool: Tool) -> float:
+    """The highest command that may follow a block under `command_v`, V: the tool's bound on how fast it rises."""
+    block_s = tool.board.block_samples / tool.board.sample_rate_hz
+    return command_v + tool.limits.max_command_v_per_s * block_s * (1 + ROUNDING)
+
+
 class ThresholdInForce:
     """The injury threshold that counts, N: the one told of the grasp under way while it is fresh, else the lowest."""
 
@@ -62,23 +71,26 @@ class ThresholdInForce:
 
 
 class HoldBack:
-    """Lowers the command that a protocol asks for, so that the jaw force settles under a share of the threshold.
+    """Lowers the command that a protocol asks for, so that the jaw force settles under the limit: a share of the
+    threshold.
 
     The tool's map from command to force tells, through the drive's lag, what force the commands so far should have come
     to by now. The force felt in proportion to that is how strong the tool is, and so tells what the next command would
-    come to: commands still on their way are counted, and a map that is wrong is soon put right.
+    come to: commands still on their way are counted, and a map that is wrong is soon put right. Where the
+    drive by itself is beyond the limit already, the command drops below what holds, until it is not.
 
-    Where the force passes the threshold itself, the grasp is let go: the command stays at zero until the protocol asks
-    for zero, too.
+    Where the force passes the threshold itself, or stays over the limit all the same, the grasp is let go: the command
+    stays at zero until the protocol asks for zero, too.
     """
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: Limiter) -> None:
         rate_hz = tool.board.sample_rate_hz
+        self._tool = tool
         self._block_s = tool.board.block_samples / rate_hz
         self._map = tool.command_to_force
         self._margin = settings.margin
         self._threshold = ThresholdInForce(library, round(settings.limit_expires_s * rate_hz))
-        self._followed: deque[float] = deque(maxlen=1 + round(FOLLOW_S / self._block_s))  # thresholds, block by block
+        self._followed: deque[float] = deque(maxlen=1 + round(FOLLOW_S / self._block_s))  # thresholds, by block
         self._limit_n = settings.margin * library.lowest_threshold_n
         self._expected = ExpectedForce(tool)
         self._strength = 1.0  # of the tool, in proportion to its map
@@ -86,6 +98,8 @@ class HoldBack:
         self._stronger_share = -math.expm1(-self._block_s / STRONGER_S)
         self._weaker_share = -math.expm1(-self._block_s / WEAKER_S)
         self._grasped = self._touched = False  # whether a grasp is under way, and has met tissue
+        self._over_blocks = 0  # in a row whose force was over the limit
+        self._command_v = 0.0
         self.why_let_go: str | None = None  # not None: the command stays at zero until the protocol asks for that, too
 
     def allow(self, threshold_n: float, tick: int) -> None:
@@ -102,26 +116,46 @@ class HoldBack:
         threshold_n = self._threshold.at(int(last["tick"]), int(last["grasp_start_tick"]))
         self._followed.append(threshold_n)
         force_n = middle_of(samples["jaw_force_n"].tolist())
-        expected_n = self._expected.at_middle(int(samples["tick"][0]), len(samples), int(last["contact_tick"]), force_n)
+        expected_n = self._expected.at_middle(int(samples["tick"][0]), len(samples), int(last["contact_tick"]))
         self._touched |= bool(last["contact_tick"] >= 0)
         if wanted_v <= COMMAND_ON_V:  # between grasps
             self._learn()
             self._strength, self._limit_n, self.why_let_go = self._begins_with, self._margin * threshold_n, None
+            self._over_blocks = 0
             return self._ask(wanted_v), 0
         self._grasped = True
-        self._limit_n = min(self._margin * threshold_n, self._limit_n + RAISE_N_PER_S * self._block_s)
+        self._limit_n = min(self._margin * min(self._followed), self._limit_n + RAISE_N_PER_S * self._block_s)
         trusted_n = TRUSTED_SHARE * self._limit_n
+        seen = self._strength
         if force_n is not None:
-            self._compare((force_n + trusted_n) / (expected_n + trusted_n), in_contact=last["contact_tick"] >= 0)
-            most_n = max(self._followed)
-            if force_n > most_n and self.why_let_go is None:
-                self.why_let_go = f"the force of {force_n:.2f} N passed the injury threshold of {most_n:.2f} N"
-                self._begins_with = max(self._strength, 1.0)
+            seen = (force_n + trusted_n) / (expected_n + trusted_n)
+            self._compare(seen, in_contact=last["contact_tick"] >= 0)
+            self._let_go_if_over(force_n)
         if self.why_let_go:
             return self._ask(0.0), HELD_BACK | LET_GO
-        most_v = float(self._map.command((self._limit_n + trusted_n) / self._strength - trusted_n))
-        most_v = max(most_v, LEAST_HOLD_V)
+        most_v = min(self._most_v(max(seen, self._strength), trusted_n), most_after(self._command_v, self._tool))
         return (self._ask(most_v), HELD_BACK) if most_v < wanted_v else (self._ask(wanted_v), 0)
+
+    def _most_v(self, seen: float, trusted_n: float) -> float:
+        """The command that comes to the aim in the end, or what slows a drive down that is beyond the limit by now."""
+        aim_n = AIM_SHARE * self._limit_n + trusted_n
+        by_map_n = aim_n / self._strength - trusted_n
+        if seen * (self._expected.driven_n + trusted_n) - trusted_n > self._limit_n:
+            by_map_n = min(by_map_n, self._expected.to_drive_n(aim_n / seen - trusted_n))
+        return max(float(self._map.command(max(by_map_n, 0.0))), LEAST_HOLD_V)
+
+    def _let_go_if_over(self, force_n: float) -> None:
+        """Where the force is over the threshold, or does not come under the limit."""
+        most_n = max(self._followed)
+        self._over_blocks = self._over_blocks + 1 if force_n > self._margin * most_n else 0
+        if self.why_let_go:
+            return
+        if force_n > most_n:
+            self.why_let_go = f"the force of {force_n:.2f} N passed the injury threshold of {most_n:.2f} N"
+        elif self._over_blocks * self._block_s > FOLLOW_S:
+            self.why_let_go = f"the force stayed over the limit of {self._margin * most_n:.2f} N, at {force_n:.2f} N"
+        if self.why_let_go:
+            self._begins_with = max(self._strength, 1.0)
 
     def _learn(self) -> None:
         """What the grasp that is over says of the next one; without contact it says nothing, and a doubt is halved."""
@@ -131,7 +165,7 @@ class HoldBack:
         self._grasped = self._touched = False
 
     def _ask(self, command_v: float) -> float:
-        self._expected.asked_n = float(self._map.force(command_v))
+        self._expected.asked_n, self._command_v = float(self._map.force(command_v)), command_v
         return command_v
 
     def _compare(self, strength: float, *, in_contact: bool) -> None:
@@ -147,26 +181,31 @@ class ExpectedForce:
 
     def __init__(self, tool: Tool) -> None:
         self._share = -math.expm1(-1.0 / (tool.board.sample_rate_hz * LAG_S))  # of a lag, in one sample
+        self._block_share = -math.expm1(-tool.board.block_samples / (tool.board.sample_rate_hz * LAG_S))
         self.asked_n = 0.0  # by the command that is on
-        self._driven_n, self._felt_n = 0.0, 0.0
+        self.driven_n, self._felt_n = 0.0, 0.0  # after the first lag and after both
         self._contact_tick = -1
 
-    def at_middle(self, first_tick: int, samples: int, contact_tick: int, force_n: float | None) -> float:
-        """Follow a block; returns the force, N, at its middle, where `force_n` was measured.
+    def at_middle(self, first_tick: int, samples: int, contact_tick: int) -> float:
+        """Follow a block; returns the force, N, at its middle.
 
         Jaws that came freely begin at no force when they touch, at `contact_tick`; until then it is -1.
         """
-        if contact_tick >= 0 and contact_tick != self._contact_tick and (force_n or 0.0) < 0.5 * self._felt_n:
-            self._felt_n = self._driven_n * (1.0 - (1.0 - self._share) ** max(first_tick - contact_tick, 0))
+        if contact_tick >= 0 and contact_tick != self._contact_tick:
+            self._felt_n = self.driven_n * (1.0 - (1.0 - self._share) ** max(first_tick - contact_tick, 0))
         self._contact_tick = contact_tick
         middle_n = self._felt_n
         for i in range(samples):
-            self._driven_n += (self.asked_n - self._driven_n) * self._share
+            self.driven_n += (self.asked_n - self.driven_n) * self._share
             if first_tick + i >= contact_tick:
-                self._felt_n += (self._driven_n - self._felt_n) * self._share
+                self._felt_n += (self.driven_n - self._felt_n) * self._share
             if i == samples // 2:
                 middle_n = self._felt_n
         return middle_n
+
+    def to_drive_n(self, driven_n: float) -> float:
+        """What has to be asked for, so that the drive comes to a force within a block; may be less than nothing."""
+        return self.driven_n + (driven_n - self.driven_n) / self._block_share
 
 
 def middle_of(force_n: list[float]) -> float | None:

@@ -6,13 +6,14 @@ from config.errors import RefusedError
 from config.schema import CommandToForce, Custom, Protocol, Sine, Tool, Trapezoid
 
 SHORTEST_GRASP_SAMPLES = 20
+ROUNDING = 1e-9
 
 
 def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
     """One grasp and its rest as motor command at the tool's sample rate, V, shape (n,); begins and ends at 0.
 
     Raises:
-        RefusedError: the command would pass the tool's limit.
+        RefusedError: the command would pass the tool's limits or rise faster than they allow.
     """
     waveform = protocol.waveform
     rate_hz = tool.board.sample_rate_hz
@@ -45,6 +46,12 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
         raise RefusedError(
             f"Protocol {protocol.name!r} asks for {peak_v:.2f} V; the tool {tool.name!r} allows at most "
             f"{tool.limits.max_command_v:.2f} V. Lower its peak or choose another protocol."
+        )
+    fastest_v_per_s = float(np.diff(command).max()) * rate_hz
+    if fastest_v_per_s > tool.limits.max_command_v_per_s * (1 + ROUNDING):
+        raise RefusedError(
+            f"Protocol {protocol.name!r} rises by {fastest_v_per_s:.1f} V/s; the tool {tool.name!r} allows at most "
+            f"{tool.limits.max_command_v_per_s:.1f} V/s. Make its ramps longer or lower, or choose another protocol."
         )
     return command
 

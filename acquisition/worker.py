@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 import zmq
 
 from acquisition import bus
-from acquisition.control import Acquisition
+from acquisition.control import Acquisition, let_go_text
 from acquisition.limiter import HoldBack
 from acquisition.process import StopFlag, ask_for_realtime, become_worker, bound_memory, calm_garbage_collector
 from acquisition.safety import Safety
@@ -80,7 +80,7 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
 def _tell_news(acquisition: Acquisition, publisher: zmq.Socket) -> None:
     """Grasps that were let go, and runs that ended."""
     for why in acquisition.take_let_go():
-        publisher.send_multipart(bus.pack_notice("let_go", text=f"The grasp was let go with the motor at zero: {why}."))
+        publisher.send_multipart(bus.pack_notice("let_go", text=let_go_text(why)))
     for ended in acquisition.take_ended():
         publisher.send_multipart(bus.pack_notice("run_ended", **asdict(ended)))
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from acquisition.control import Acquisition, RunEnd, RunEnded
+from acquisition.control import Acquisition, RunEnd, RunEnded, let_go_text
 from acquisition.limiter import HoldBack
 from acquisition.pipeline import Pipeline
 from acquisition.recordings.playing import Recording
@@ -34,6 +34,7 @@ class Report:
     samples: int = 0
     lost_samples: int = 0
     grasps: list[GraspRecord] = field(default_factory=list)
+    let_go: list[str] | None = None  # of a run: what is told of each grasp that the limiter let go
     failure: str | None = None  # why a run ended before its protocol
     comparison: Comparison | None = None  # of a replay with what was recorded
 
@@ -46,6 +47,8 @@ class Report:
             "library": self.library,
             "grasps": [asdict(grasp) for grasp in self.grasps],
         }
+        if self.let_go is not None:
+            document["let_go"] = self.let_go
         if self.comparison:
             document["recorded"] = self.comparison.document()
         return document
@@ -62,7 +65,7 @@ def run_protocol(
         ToolError: the board failed.
         RecordingError: the file exists, or cannot be written.
     """
-    report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz)
+    report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz, let_go=[])
     session = EstimationSession(tool, library, settings)
     source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
     run_id = record.stem if record else "run"
@@ -84,6 +87,10 @@ def run_protocol(
             report.grasps += estimate.ended
             limit = limit_of(estimate.identification)
             acquisition.allow(limit.threshold_n, limit.tick)
+            for why in acquisition.take_let_go():
+                report.let_go.append(let_go_text(why))
+                if file:
+                    file.let_go(report.let_go[-1])
             ended = acquisition.take_ended()
             progress(report.samples / tool.board.sample_rate_hz)
         last = session.finish()

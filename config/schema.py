@@ -106,6 +106,7 @@ class ToolLimits(Model):
     """Hard bounds of the tool, kept by the acquisition worker itself."""
 
     max_command_v: Positive
+    max_command_v_per_s: Positive = 60.0  # rising: down to zero nothing is ever slowed
     force_ceiling_n: Positive
     max_run_s: Positive
 

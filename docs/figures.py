@@ -22,17 +22,21 @@ PLOTS = {  # picture: study, which of its plots
     "roc": ("unknown", 0),
     "initial": ("initial", 0),
     "paper-states": ("paper", 0),
+    "limiter-peaks": ("limiter", 0),
+    "limiter-course": ("limiter", 1),
 }
 TABLES = {  # mark in the page: study, which of its tables
     "parameters": ("identify", 1),
     "mismatch": ("mismatch", 0),
     "estimators": ("estimators", 0),
     "bounds": ("paper", 1),
+    "limiter": ("limiter", 0),
+    "beyond": ("limiter", 4),
 }
 
 
 def main() -> None:
-    names = ["paper", "identify", "unknown", "initial", "mismatch", "estimators"]
+    names = ["paper", "identify", "unknown", "initial", "mismatch", "estimators", "limiter"]
     noisy = "identify-5mv"
     if "--keep" not in sys.argv:
         graspwatch = [Path(sys.executable).parent / "graspwatch", "study"]

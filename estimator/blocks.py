@@ -50,7 +50,7 @@ class Identification:
     peak_force_n: float | None
     threshold_n: float
     threshold_tissue: str | None
-    hold_n: float  # where the limiter holds the force
+    hold_n: float  # the limit under which the limiter holds the force
     holding_back: bool
     time_to_limit_s: float | None  # forecast while the force rises towards the threshold
     thickness_m: float | None  # of what is held, measured at contact

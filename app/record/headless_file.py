@@ -17,7 +17,7 @@ from app.alarms import AlarmBook
 from app.record.run_file import Rig, RunFile
 from app.record.topics import RUN, topic_of, write
 from app.teller import Teller
-from app.wire import Grasp, GraspEnded, Run, RunState
+from app.wire import AlarmKind, Grasp, GraspEnded, Run, RunState
 from config.errors import RecordingError
 from config.schema import Protocol
 from estimator.blocks import EstimateBlock, GraspRecord
@@ -56,9 +56,8 @@ class HeadlessFile:
         self._file: RunFile | None = None
         self._flush_at = FLUSH_SAMPLES
         self._last: EstimateBlock | None = None
-        self._teller = Teller(
-            rig.library, rig.tool.board.sample_rate_hz, AlarmBook(self._tell), self._tell, self._tell_grasp
-        )
+        self._alarms = AlarmBook(self._tell)
+        self._teller = Teller(rig.library, rig.tool.board.sample_rate_hz, self._alarms, self._tell, self._tell_grasp)
 
     def __enter__(self) -> Self:
         if self._path.suffix != ENDING:
@@ -106,6 +105,11 @@ class HeadlessFile:
         self._last = estimate
         at_ms = (self._started_ns + self._now_ns) / 1e6
         self._teller.take(estimate, at_ms, at_ms)
+
+    def let_go(self, text: str) -> None:
+        """The limiter let the grasp go."""
+        with self._writing():
+            self._alarms.happened("let-go", AlarmKind.FORCE, text, (self._started_ns + self._now_ns) / 1e6)
 
     def cut_short(self, grasp: GraspRecord | None) -> None:
         """The grasp that the end cut short, if there is one."""

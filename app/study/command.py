@@ -84,10 +84,23 @@ def _without_thickness(study: StudyEntry) -> Callable[..., None]:
     return command
 
 
+def _without_protocol(study: StudyEntry) -> Callable[..., None]:
+    def command(
+        grasps: GraspsOption = study.usual, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
+        library: LibraryOption = "porcine", touch: TouchOption = True, seed: SeedOption = 0, out: OutOption = FOLDER,
+        jobs: JobsOption = None, as_json: JsonOption = False,
+    ) -> None:  # fmt: skip
+        _show(_run(study, _bench("trapezoid_2hz", library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json)
+
+    return command
+
+
 def _command(study: StudyEntry) -> Callable[..., None]:
     """The study as a command, with the options that mean something to it."""
     if not study.on_bench:
         return _with_seeds(study)
+    if not study.plays_protocol:
+        return _without_protocol(study)
     return _with_thickness(study) if study.weighs_thickness else _without_thickness(study)
 
 

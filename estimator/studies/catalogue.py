@@ -29,6 +29,8 @@ class StudyEntry:
     """Whether it simulates grasps as a `Bench` says; else the bench means nothing to it."""
     weighs_thickness: bool = True
     """Whether thickness at contact can be evidence in it."""
+    plays_protocol: bool = True
+    """Whether the bench's protocol is what it plays; else it makes its own."""
 
 
 def _paper(bench: "Bench", seeds: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
@@ -68,6 +70,12 @@ def _estimators(bench: "Bench", grasps: int, seed: int, progress: Progress, jobs
     return estimators(replace(bench, thickness=False), grasps, seed, progress, jobs)
 
 
+def _limiter(bench: "Bench", grasps: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
+    from estimator.studies.limiter import limiter
+
+    return limiter(bench, grasps, seed, progress, jobs)
+
+
 _ALL = (
     StudyEntry(
         "paper",
@@ -98,6 +106,11 @@ _ALL = (
         "estimators",
         "Ours, the paper's filter, an unscented and a particle filter on the same grasps.",
         60, MOST_GRASPS, _estimators, weighs_thickness=False,
+    ),
+    StudyEntry(
+        "limiter",
+        "Commands up to 5 N, identified right, wrongly, late or not at all: force over the limit? Still held?",
+        500, MOST_GRASPS, _limiter, weighs_thickness=False, plays_protocol=False,
     ),
 )  # fmt: skip
 STUDIES = {entry.name: entry for entry in _ALL}

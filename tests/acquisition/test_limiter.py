@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition.blocks import SAMPLE, Flag
+from acquisition.contact import COMMAND_ON_V
 from acquisition.limiter import HoldBack, ThresholdInForce, middle_of, why_stop
 from config.load import load_library, load_settings, load_tool
 
@@ -145,12 +146,14 @@ def in_a_grasp(number: int, force_n: list[float], contact_tick: int) -> np.ndarr
 def test_whatever_is_felt_the_command_is_never_more_than_asked_for_nor_less_than_zero(
     blocks: list[tuple[list[float], float]], contact_tick: int, told_n: float
 ) -> None:
-    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    hold_back, before_v = HoldBack(TOOL, LIBRARY, load_settings().limiter), 0.0
     for number, (force_n, wanted_v) in enumerate(blocks):
         hold_back.allow(told_n, 5 * number)
         command_v, flags = hold_back.judge(in_a_grasp(number, force_n, contact_tick), wanted_v)
         assert 0.0 <= command_v <= wanted_v
         assert (command_v < wanted_v) == bool(flags & Flag.HELD_BACK)
+        assert command_v <= before_v + 0.3 + 1e-6 or wanted_v <= COMMAND_ON_V  # 60 V/s, 5 ms
+        before_v = command_v
         if flags & Flag.LET_GO:
             assert command_v == 0.0
 
@@ -173,4 +176,4 @@ def test_a_force_that_is_not_known_lets_nothing_go_and_leaves_the_limit() -> Non
     for number in range(40):
         command_v, flags = hold_back.judge(in_a_grasp(number, [math.nan] * 5, 0), 3.5)
         assert flags == Flag.HELD_BACK
-        assert command_v == pytest.approx(2.5, abs=0.01)  # what the map tells for 1.80 N
+    assert command_v == pytest.approx(2.25, abs=0.01)  # what the map tells for 93 % of 1.80 N

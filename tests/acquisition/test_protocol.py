@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from acquisition.protocol import ProtocolPlayer, command_cycle
 from config.errors import GraspwatchError, RefusedError
 from config.load import available, load_protocol, load_tool
-from config.schema import Custom, Protocol, Sine, Trapezoid
+from config.schema import Custom, Protocol, Sine, Tool, Trapezoid
 
 TOOL = load_tool("simulated")
 RATE_HZ = 1000.0
@@ -25,6 +25,22 @@ def trapezoid(
         shape="trapezoid", peak_v=peak_v, ramp_up_s=up_s, hold_s=hold_s, ramp_down_s=down_s, rest_s=rest_s
     )
     return Protocol(name="mine", title="Mine", waveform=waveform)
+
+
+def as_quick_as(max_command_v_per_s: float) -> Tool:
+    limits = TOOL.limits.model_copy(update={"max_command_v_per_s": max_command_v_per_s})
+    return TOOL.model_copy(update={"limits": limits})
+
+
+@pytest.mark.parametrize("name", available("protocols"))
+def test_every_shipped_protocol_passes_the_bound_on_the_rise_and_a_faster_one_is_refused(name: str) -> None:
+    fastest = np.diff(command_cycle(load_protocol(name), TOOL)).max() * RATE_HZ
+    with pytest.raises(RefusedError, match=r"rises by .* V/s; the tool 'simulated' allows at most .* V/s\. Make"):
+        command_cycle(load_protocol(name), as_quick_as(0.99 * fastest))
+
+
+def test_a_fall_is_never_too_fast() -> None:
+    assert command_cycle(trapezoid(3.5, up_s=0.06, down_s=0.001), TOOL).max() == pytest.approx(3.5)
 
 
 def played(player: ProtocolPlayer, block: int) -> np.ndarray:
@@ -71,7 +87,7 @@ def test_a_custom_waveform_goes_straight_from_point_to_point(data: st.DataObject
     waveform = Custom(
         shape="custom", time_s=tuple(time / 1000 for time in times_ms), command_v=tuple(volts), rest_s=0.05
     )
-    command_v = command_cycle(Protocol(name="mine", title="Mine", waveform=waveform), TOOL)
+    command_v = command_cycle(Protocol(name="mine", title="Mine", waveform=waveform), as_quick_as(1e6))
     assert len(command_v) == times_ms[-1] + 50
     np.testing.assert_allclose(command_v[times_ms], volts, rtol=0, atol=1e-9)
     for k, steps in enumerate(steps_ms):

@@ -129,5 +129,5 @@ def test_a_killed_worker_is_an_alarm_on_every_page(service, watch):
 def test_the_limiter_says_that_it_holds_the_motor_back(service, watch):
     viewer = watch(service.url)
     service.run(protocol="strong_2hz", cycles=1, tissue="bladder")
-    expect(viewer.at("holding")).to_contain_text("holding the motor back at 1.80", timeout=5_000)
+    expect(viewer.at("holding")).to_contain_text("holding the motor back under 1.80", timeout=5_000)
     expect(viewer.at("grasps")).to_contain_text("held back", timeout=5_000)

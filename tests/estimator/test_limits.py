@@ -9,7 +9,7 @@ from simulation import WatchedGrasper
 
 from acquisition.blocks import Flag
 from acquisition.control import Acquisition
-from acquisition.limiter import HoldBack
+from acquisition.limiter import AIM_SHARE, HoldBack
 from acquisition.nidaq import NidaqTool
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
@@ -76,10 +76,10 @@ def test_soft_tissues_are_held_at_four_fifths_of_their_threshold(runs: dict[str,
     found = runs[tissue]
     hold_n = found.found[-1].hold_n
     assert hold_n == pytest.approx(1.80, abs=0.005)
-    assert found.force_n.max() < 1.03 * hold_n
+    assert found.force_n.max() < hold_n
     for grasp in range(1, CYCLES + 1):
         own = (found.samples["grasp"] == grasp) & (found.samples["flags"] & Flag.HELD_BACK > 0)
-        assert np.median(found.force_n[own]) == pytest.approx(hold_n, rel=0.02)
+        assert np.median(found.force_n[own]) == pytest.approx(AIM_SHARE * hold_n, rel=0.02)
 
 
 def test_a_named_liver_gets_its_own_limit_and_one_that_is_not_named_the_lowest() -> None:
@@ -90,9 +90,9 @@ def test_a_named_liver_gets_its_own_limit_and_one_that_is_not_named_the_lowest()
         told = {each.label for each in found.found if each.grasp == grasp and each.in_grasp}
         peak_n = found.force_n[own].max()
         if told <= {"undecided"}:
-            assert peak_n < 1.03 * MARGIN * LOWEST_N
+            assert peak_n < MARGIN * LOWEST_N
         held_at_n.add(round(peak_n, 1))
-    assert held_at_n == {1.8, 2.3}  # 2.3 N is all that the protocol asks for; liver's limit is 2.70 N
+    assert held_at_n == {1.7, 2.3}  # 2.3 N is all that the protocol asks for; liver's limit is 2.70 N
 
 
 @pytest.mark.parametrize("tissue", list(LIBRARY.tissues))
@@ -119,8 +119,9 @@ def test_the_sine_of_the_paper_is_held_at_its_tops_and_nowhere_else() -> None:
     """It asks for 2.0 N, which no unnamed tissue gets."""
     found = run("gallbladder", "sine", cycles=1)
     held = found.samples["flags"] & Flag.HELD_BACK > 0
-    assert found.force_n.max() < 1.03 * MARGIN * LOWEST_N
-    assert found.force_n[held].min() > 0.75 * MARGIN * LOWEST_N
+    assert found.force_n.max() < MARGIN * LOWEST_N
+    commanded_n = TOOL.command_to_force.force(found.samples["motor_command_v"][held])
+    assert commanded_n.min() > 0.75 * MARGIN * LOWEST_N
     assert 0.1 < held.mean() < 0.3
 
 

@@ -65,7 +65,7 @@ export class ForceCard {
     setData(this.card, "holding", String(holding));
     const box = byId("force-holding");
     setHidden(box, !holding);
-    if (held && holding) setText(box, `Limiter is holding the motor back at ${newtons(held.hold_n)}`);
+    if (held && holding) setText(box, `Limiter is holding the motor back under ${newtons(held.hold_n)}`);
     const mark = byId("gauge-hold");
     setHidden(mark, !held);
     if (held) setProperty(mark, "--share", onGauge(held.hold_n / limit));

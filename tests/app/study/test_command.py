@@ -18,6 +18,7 @@ SMALL = {
     "initial": ["--grasps", "1"],
     "mismatch": ["--grasps", "1"],
     "estimators": ["--grasps", "1"],
+    "limiter": ["--grasps", "10"],
 }
 
 

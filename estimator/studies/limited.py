@@ -1,0 +1,162 @@
+"""Simulated grasps with the acquisition in the loop: the command depends on the force that is felt, as in a run."""
+
+from collections import deque
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from acquisition.blocks import SampleBlock
+from acquisition.bus import ForceLimit
+from acquisition.control import Acquisition
+from acquisition.limiter import HoldBack, ThresholdInForce
+from acquisition.protocol import ProtocolPlayer
+from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.source import RawBlock
+from config.schema import Protocol, Settings, TissueLibrary, Tool, Trapezoid
+from estimator.session import EstimationSession
+from estimator.studies.limited_cases import HOLD_S, LimitedCase, Told
+from estimator.worker import limit_of
+
+LEAD_IN_S, RAMP_DOWN_S, REST_S = 0.25, 0.1, 0.2
+SURE_S = 0.06  # after contact, where the study itself says what is told: as early as the estimator names a tissue
+LATE_BLOCKS = (16, 25)  # 80 to 120 ms, around the time after which the limiter believes nothing any more
+
+
+class GrasperSource:
+    """A simulated grasper as a source without a board between; a command holds from the next sample on, as there."""
+
+    def __init__(self, grasper: SimulatedGrasper, block_samples: int) -> None:
+        self._grasper, self._block_samples = grasper, block_samples
+        self._command_v, self._tick = 0.0, 0
+        self.force_n: list[float] = []  # true, sample by sample
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._command_v = 0.0
+
+    def read_block(self) -> RawBlock:
+        rows = []
+        for _ in range(self._block_samples):
+            rows.append(self._grasper.step(self._command_v))
+            self.force_n.append(self._grasper.force_n)
+        strain_v, encoder_deg, touch_1_v, touch_2_v = np.array(rows).T
+        command_v = np.full(self._block_samples, self._command_v)
+        tick, self._tick = self._tick, self._tick + self._block_samples
+        return RawBlock(tick, 0, strain_v, encoder_deg, command_v, touch_1_v, touch_2_v)
+
+    def write_command(self, command_v: float) -> None:
+        self._command_v = command_v
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A played case, sample by sample: conditioned samples of dtype SAMPLE, the true force at the jaws, and the injury
+    threshold in force as the limiter was told it."""
+
+    samples: np.ndarray
+    force_n: np.ndarray
+    threshold_n: np.ndarray
+
+
+def protocol_of(case: LimitedCase, tool: Tool) -> Protocol:
+    peak_v = float(tool.command_to_force.command(case.wanted_n))
+    waveform = Trapezoid(
+        shape="trapezoid", peak_v=peak_v, ramp_up_s=peak_v / case.rise_v_per_s, hold_s=HOLD_S,
+        ramp_down_s=RAMP_DOWN_S, rest_s=REST_S,
+    )  # fmt: skip
+    return Protocol(name="limited", title="Limited", lead_in_s=LEAD_IN_S, waveform=waveform)
+
+
+def true_tool(case: LimitedCase, tool: Tool) -> Tool:
+    """The tool as it is, while its file says `tool`."""
+    assert tool.simulation is not None
+    mapping = tool.command_to_force
+    force_n = tuple(case.strength * force_n for force_n in mapping.force_n)
+    noise = tool.noise.model_copy(update={"strain_sd_v": case.noise * tool.noise.strain_sd_v})
+    mechanics = tool.simulation
+    moved = {
+        "spread_scale": case.spread * mechanics.spread_scale,
+        "drive_lag_s": case.lags * mechanics.drive_lag_s,
+        "contact_lag_s": case.lags * mechanics.contact_lag_s,
+    }
+    changes = {"command_to_force": mapping.model_copy(update={"force_n": force_n}), "noise": noise}
+    return tool.model_copy(update={**changes, "simulation": mechanics.model_copy(update=moved)})
+
+
+def play(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings) -> Played:
+    """Play the case on a new grasper with the acquisition and its limiter, and the estimator where the case asks it."""
+    source = GrasperSource(_grasper(case, tool, library), tool.board.block_samples)
+    acquisition = Acquisition(source, tool, settings.conditioning, HoldBack(tool, library, settings.limiter))
+    acquisition.start("study", protocol_of(case, tool), case.grasps)
+    teller = Teller(case, tool, library, settings)
+    in_force = ThresholdInForce(library, round(settings.limiter.limit_expires_s * tool.board.sample_rate_hz))
+    blocks, thresholds = [], []
+    while acquisition.running:
+        block = acquisition.turn()
+        assert block is not None, "a grasper's samples have no end"
+        last = block.samples[-1]
+        blocks.append(block.samples)
+        thresholds += [in_force.at(int(last["tick"]), int(last["grasp_start_tick"]))] * len(block.samples)
+        for limit in teller.tell(block):
+            acquisition.allow(limit.threshold_n, limit.tick)
+            in_force.tell(limit.threshold_n, limit.tick)
+    return Played(np.concatenate(blocks), np.array(source.force_n), np.array(thresholds))
+
+
+def force_without(case: LimitedCase, tool: Tool, library: TissueLibrary) -> np.ndarray:
+    """The true force of the same case where the motor gets what the protocol asks for, N, sample by sample."""
+    source = GrasperSource(_grasper(case, tool, library), tool.board.block_samples)
+    player = ProtocolPlayer(protocol_of(case, tool), tool, case.grasps)
+    while not player.done:
+        source.read_block()
+        source.write_command(player.advance(tool.board.block_samples))
+    return np.array(source.force_n)
+
+
+def _grasper(case: LimitedCase, tool: Tool, library: TissueLibrary) -> SimulatedGrasper:
+    return SimulatedGrasper(true_tool(case, tool), library, case.tissue, case.seed, case.deviation)
+
+
+class Teller:
+    """What reaches the limiter after each block."""
+
+    def __init__(self, case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
+        self._case, self._library = case, library
+        self._rate_hz = tool.board.sample_rate_hz
+        self._turn_tick = (LEAD_IN_S + case.turn_s) * self._rate_hz
+        estimated = case.told in (Told.RIGHT, Told.LATE, Told.DEAD)
+        self._session = EstimationSession(tool, library, settings) if estimated else None
+        self._under_way: deque[tuple[int, ForceLimit]] = deque()  # when it arrives, and what
+        self._rng = np.random.default_rng([case.seed, 3])
+
+    def tell(self, block: SampleBlock) -> list[ForceLimit]:
+        """The limits that arrive right after this block."""
+        last = block.samples[-1]
+        tick = int(last["tick"])
+        if self._session is None:
+            return self._say(tick, int(last["contact_tick"]))
+        if self._case.told is Told.DEAD and tick > self._turn_tick:
+            return []
+        limit = limit_of(self._session.process(block).identification)
+        if self._case.told is not Told.LATE:
+            return [limit]
+        delay = len(block.samples) * int(self._rng.integers(*LATE_BLOCKS))
+        arrives = max(tick + delay, self._under_way[-1][0] if self._under_way else 0)  # none passes another
+        self._under_way.append((arrives, limit))
+        arrived = []
+        while self._under_way and self._under_way[0][0] <= tick:
+            arrived.append(self._under_way.popleft()[1])
+        return arrived
+
+    def _say(self, tick: int, contact_tick: int) -> list[ForceLimit]:
+        if contact_tick < 0 or tick < contact_tick + SURE_S * self._rate_hz:
+            return []
+        fallen = self._case.told is Told.WITHDRAWN and tick > self._turn_tick
+        threshold_n = self._library.lowest_threshold_n if fallen else self._library.threshold_n(self._case.told_tissue)
+        return [ForceLimit(threshold_n, None, tick)]
