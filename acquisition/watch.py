@@ -17,9 +17,6 @@ SCATTER_SAMPLES = 7
 SETTLED_S = 0.3
 """After the command returned to zero the strain gage is back at its tare."""
 REST_SAMPLES = 50
-TURN_SAMPLES = 30
-TURNED_DEG = 5.0
-"""Back, while the strain rises under a command that does not fall: in the 2013 recordings by 6 mV at most."""
 STILL_COUNTS = 2.5
 """Of the encoder: a reading that flickers stands still."""
 
@@ -35,6 +32,7 @@ class SensorWatch:
     def __init__(self, tool: Tool) -> None:
         self._limits = tool.plausible
         self._still_deg = STILL_COUNTS * tool.calibration.encoder_resolution_deg
+        self._stretch = tool.calibration.encoder_deg_per_volt
         self._settled_samples = round(SETTLED_S * tool.board.sample_rate_hz)
         self.begin_anew()
 
@@ -43,11 +41,10 @@ class SensorWatch:
         self._strain_v: deque[float] = deque(maxlen=2 * SMOOTH_SAMPLES)
         self._scatter_v: deque[float] = deque(maxlen=SCATTER_SAMPLES)
         self._at_rest_v: deque[float] = deque(maxlen=REST_SAMPLES)
-        self._turning: deque[tuple[float, float, float]] = deque(maxlen=TURN_SAMPLES)  # strain, encoder, command
         self._equal = 0
         self._encoder_deg = self._encoder_zero_deg = math.nan
         self._still_at_deg = self._still_since_v = math.nan
-        self._rested = 0
+        self._rested, self._most_command_v = 0, 0.0
 
     def judge(self, samples: np.ndarray, rest_v: float) -> str | None:
         """Why the samples (dtype SAMPLE, consecutive to the last ones) cannot be true, or None.
@@ -62,7 +59,7 @@ class SensorWatch:
                 self.begin_anew()
                 continue
             found = self._judge_strain(strain_v, rest_v, command_v)
-            found = found or self._judge_encoder(encoder_deg, command_v, is_grasped=bool(flags & IN_GRASP))
+            found = found or self._judge_encoder(encoder_deg, command_v, rest_v, is_grasped=bool(flags & IN_GRASP))
             why = why or found
         return why
 
@@ -106,32 +103,26 @@ class SensorWatch:
             return f"the strain gage rests {off_v:+.3f} V off its tare: the force is not known; arm anew"
         return None
 
-    def _judge_encoder(self, encoder_deg: float, command_v: float, *, is_grasped: bool) -> str | None:
+    def _judge_encoder(self, encoder_deg: float, command_v: float, rest_v: float, *, is_grasped: bool) -> str | None:
         limits, before_deg = self._limits, self._encoder_deg
         if not math.isfinite(encoder_deg):
             return "the encoder gives no number: check its wiring"
         self._encoder_deg = encoder_deg
         if not is_grasped:
-            self._encoder_zero_deg = encoder_deg
+            self._encoder_zero_deg, self._most_command_v = encoder_deg, 0.0
         step_deg = encoder_deg - before_deg
         if abs(step_deg) > limits.encoder_step_deg:
             return f"the encoder jumped by {step_deg:+.1f} degrees, faster than the motor turns: check its wiring"
-        if encoder_deg - self._encoder_zero_deg < -limits.encoder_back_deg:
-            return f"the encoder turns back by {self._encoder_zero_deg - encoder_deg:.0f} degrees while the jaws close"
         if len(self._strain_v) < 2 * SMOOTH_SAMPLES:
             return None
         strain_v = sorted(self._strain_v)[SMOOTH_SAMPLES]
-        return self._judge_standing(encoder_deg, strain_v) or self._judge_turning(encoder_deg, strain_v, command_v)
-
-    def _judge_turning(self, encoder_deg: float, strain_v: float, command_v: float) -> str | None:
-        """Closing jaws turn the encoder forward, and more so where the force rises."""
-        self._turning.append((strain_v, encoder_deg, command_v))
-        before_v, before_deg, before_command_v = self._turning[0]
-        turned_deg, rise_v = before_deg - encoder_deg, strain_v - before_v
-        is_closing = command_v > COMMAND_ON_V and command_v >= before_command_v - COMMAND_ON_V
-        if is_closing and turned_deg > TURNED_DEG and rise_v > self._limits.encoder_stuck_v:
-            return f"the encoder turns back by {turned_deg:.1f} degrees while the force rises: check its wiring"
-        return None
+        self._most_command_v = max(self._most_command_v, command_v)
+        if is_grasped and command_v >= self._most_command_v - COMMAND_ON_V:
+            stretch_deg = self._stretch * (strain_v - rest_v)  # Eq. (3): of the cable, which the jaws do not follow
+            closed_deg = encoder_deg - self._encoder_zero_deg - stretch_deg
+            if closed_deg < -limits.encoder_back_deg:
+                return f"the encoder tells jaws {-closed_deg:.0f} degrees wider open than at rest: check its wiring"
+        return self._judge_standing(encoder_deg, strain_v)
 
     def _judge_standing(self, encoder_deg: float, strain_v: float) -> str | None:
         """Force stretches the cable, which turns the encoder: standing still while the strain changes, it is stuck."""

@@ -165,7 +165,7 @@ class Plausible(Model):
     strain_below_rest_v: Positive = 1.2
     rest_drift_v: Positive = 0.8  # between grasps
     encoder_step_deg: Positive = 2.0  # from sample to sample
-    encoder_back_deg: Positive = 15.0  # in a grasp, before its beginning
+    encoder_back_deg: Positive = 25.0  # in a grasp, behind its beginning, without the cable's stretch
     encoder_stuck_v: Positive = 0.04  # change of strain while the encoder does not move by a count
 
 

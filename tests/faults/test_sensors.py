@@ -15,7 +15,7 @@ LOST = {
     SensorFault.STRAIN_SATURATED: "saturated|jumped",
     SensorFault.STRAIN_DROP_OUT: "jumped|stuck|below its rest",
     SensorFault.STRAIN_JUMP: "jumped|below its rest",
-    SensorFault.STRAIN_NOISE: "scatters|jumped|below its rest",
+    SensorFault.STRAIN_NOISE: "scatters|jumped|below its rest|stands still",
     SensorFault.STRAIN_NAN: "gives no number",
     SensorFault.ENCODER_JUMP: "encoder jumped",
 }
