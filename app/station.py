@@ -23,6 +23,7 @@ from app.joiner import Joiner
 from app.journal import Journal
 from app.live import Hub
 from app.metrics import Metrics
+from app.people.lease import Control
 from app.plan import ServicePlan
 from app.record.link import RecorderLink
 from app.record.recorder import DEMONSTRATION, Brief
@@ -72,6 +73,7 @@ class Station:
         self.supervisor = Supervisor(plan, self._on_death)
         self.watchdog = Watchdog(self.supervisor, self.alarms, self.tell_event)
         self.runs = RunBook()
+        self.control = Control(plan.settings.people.control_expires_s)
         self.demo: str | None = "The demonstration begins as soon as the tool is ready" if plan.demo else None
         self.internal_error: str | None = None
         self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED else None
@@ -393,6 +395,7 @@ class Station:
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
                 self._watch_disk()
+                self.control.renew(self.runs.current.by if self.runs.current else None)
                 self.tell_state()
 
     def conditions(self) -> dict[str, str]:
@@ -440,6 +443,8 @@ class Station:
         self.hub.broadcast(self.state())
 
     def _control(self) -> str | None:
+        if self.control.holder:
+            return self.control.holder
         run = self.runs.current
         if run is None:
             return None

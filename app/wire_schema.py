@@ -17,9 +17,12 @@ SCHEMA_FILE = Path(__file__).parents[1] / "frontend" / "src" / "wire.schema.json
 
 SENT_BY_SERVER = (
     "ServerMessage", "Run", "ProtocolInfo", "LibraryInfo", "Grasp", "StopAnswer", "Health", "Problem", "Alarm",
-    "JournalEntry", "Recordings", "Studies", "StudyRun", "System",
+    "JournalEntry", "Recordings", "Studies", "StudyRun", "System", "SessionInfo", "ControlInfo",
 )  # fmt: skip
-SENT_BY_BROWSER = ("RunRequest", "StopRequest", "FrameReceived", "AcknowledgeRequest", "ReplayControl", "StudyRequest")
+SENT_BY_BROWSER = (
+    "RunRequest", "StopRequest", "FrameReceived", "AcknowledgeRequest", "ReplayControl", "StudyRequest", "SignIn",
+    "ControlRequest",
+)  # fmt: skip
 
 # Fields of `FRAME_HEADER`, in order
 HEADER_FIELDS = ("magic", "kind", "stride", "columns", "rows", "sequence", "first_tick", "newest_ms")
