@@ -33,7 +33,7 @@ class Control:
         if before not in (None, name) and not over:
             raise RefusedError(
                 f"{before} has control of the tool, and keeps it for another {self.expires_in_s / 60:.1f} min without "
-                "doing anything. Wait, ask for it, or take it over: POST /api/control with `take_over: true`.",
+                "doing anything. Wait, ask for it, or take it over (POST /api/control with `take_over: true`).",
                 "control",
             )
         self._name, self._acted_s = name, self._clock()

@@ -4,6 +4,7 @@ import { getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
 import type { Person } from "../shell/person";
 import type { Hello, Phase, ProtocolInfo, Run, RunRequest } from "../wire";
+import { ControlLine } from "./control";
 import { drawWaveform } from "./waveform";
 
 const PHASE: Record<Phase, string> = {
@@ -21,6 +22,7 @@ export class ProtocolPanel {
   private readonly cycles = byId<HTMLInputElement>("cycles");
   private readonly start = byId<HTMLButtonElement>("start");
   private readonly message = byId("run-message");
+  private readonly control: ControlLine;
   private protocols: ProtocolInfo[] = [];
   private startedRun: string | null = null;
   private tissuesFor: Hello["holdable"] | null = null;
@@ -29,6 +31,7 @@ export class ProtocolPanel {
     private readonly model: Model,
     private readonly person: Person,
   ) {
+    this.control = new ControlLine(person, (failure) => this.say(failure, "failed"));
     this.protocol.addEventListener("change", () => this.preview());
     byId("run-form").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -55,6 +58,7 @@ export class ProtocolPanel {
     const { hello, state } = this.model;
     if (hello && this.tissuesFor !== hello.holdable) this.listTissues(hello);
     setHidden(byId("run-form"), this.model.hasNoTool);
+    this.control.render(state);
     setText(byId("phase"), state ? PHASE[state.phase] : "");
     setData(byId("phase"), "phase", state?.phase ?? "");
     setText(byId("run-now"), this.runInWords());
@@ -73,7 +77,7 @@ export class ProtocolPanel {
   }
 
   private async submit(): Promise<void> {
-    if (this.start.ariaBusy === "true") return;
+    if (this.start.ariaBusy === "true" || !this.person.may("operator")) return;
     this.say("Starting…", "pending");
     setAttribute(this.start, "aria-busy", "true");
     try {

@@ -5,7 +5,7 @@ import { day, moment, Rows, timeOfDay, type Row } from "./rows";
 
 const EVERY_MS = 5000;
 const MOST = 200;
-const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged", deleted: "Deleted" };
+const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged", deleted: "Deleted", access: "Access" };
 
 type Choice = JournalKind | "all";
 
