@@ -19,7 +19,8 @@ from app.demo import demonstrate
 from app.people.door import bounded
 from app.people.gate import Gate
 from app.people.guard import Guard
-from app.people.roles import ANYBODY, Needs
+from app.people.rights import describe, open_paths, rights_of
+from app.people.roles import ANYBODY
 from app.plan import ServicePlan
 from app.replay.films import Films
 from app.replay.shelf import Shelf
@@ -28,7 +29,6 @@ from app.routes import alarms, catalogue, control, history, live, recordings, ru
 from app.station import Station
 from app.store.opening import open_for_service
 from app.study.desk import StudyDesk
-from app.wire import Role
 from config.errors import ServiceError
 from config.schema import Server
 
@@ -89,10 +89,14 @@ def create_app(plan: ServicePlan) -> FastAPI:
         lifespan=lifespan,
     )
     app.state.guard = guard
+    rights = rights_of(ROUTERS)
+    describe(app, rights)
     problems.install(app)
     for router in ROUTERS:
         app.include_router(router)
-    app.add_middleware(Gate, guard=guard, open_paths=open_paths(), most_body_bytes=plan.settings.server.most_body_bytes)
+    app.add_middleware(
+        Gate, guard=guard, open_paths=open_paths(rights), most_body_bytes=plan.settings.server.most_body_bytes
+    )
     app.middleware("http")(_add_security_headers)
     if (STATIC / "index.html").is_file():
         for page in PAGES:
@@ -101,26 +105,6 @@ def create_app(plan: ServicePlan) -> FastAPI:
     else:
         app.get("/", dependencies=[ANYBODY], include_in_schema=False)(_dashboard_missing)
     return app
-
-
-def needs_of() -> dict[tuple[str, str], Role | None]:
-    """Which role each route needs, by method (`WEBSOCKET` for one) and path; None: it is open to everybody.
-
-    Raises:
-        RuntimeError: a route does not say.
-    """
-    declared = {}
-    for route in (route for router in ROUTERS for route in router.routes):
-        said = [each.dependency.role for each in route.dependencies if isinstance(each.dependency, Needs)]
-        if len(said) != 1:
-            raise RuntimeError(f"{route.path} does not say who may: add `dependencies=[needs(Role....)]` to it.")
-        for method in getattr(route, "methods", {"WEBSOCKET"}):
-            declared[method, route.path] = said[0]
-    return declared
-
-
-def open_paths() -> set[str]:
-    return {path for (_, path), role in needs_of().items() if role is None}
 
 
 async def _dashboard() -> FileResponse:

@@ -8,19 +8,22 @@ from starlette.routing import Mount
 
 from app import main
 from app.people.gate import GUARDED
+from app.people.rights import rights_of
 from app.plan import ServicePlan
 
 
 def test_every_route_needs_what_was_agreed() -> None:
-    assert main.needs_of() == RIGHTS
+    assert rights_of(main.ROUTERS) == RIGHTS
 
 
-def test_a_route_that_does_not_say_who_may_keeps_the_service_from_starting(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_route_that_does_not_say_who_may_keeps_the_service_from_starting(
+    plan: ServicePlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
     router = APIRouter()
     router.get("/api/new")(lambda: None)
     monkeypatch.setattr(main, "ROUTERS", (*main.ROUTERS, router))
     with pytest.raises(RuntimeError, match="/api/new does not say who may"):
-        main.open_paths()
+        main.create_app(plan)
 
 
 def test_what_is_beside_the_routers_is_guarded_or_the_dashboard(plan: ServicePlan) -> None:
