@@ -69,6 +69,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
         reports = contextlib.aclosing(Reports(plan))
         await station.start()
         watch = asyncio.create_task(guard.watch(station))
+        station.watch_over(watch)
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
         async with (
             index, desk as app.state.studies, films as app.state.films, shelf as app.state.shelf,

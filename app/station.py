@@ -113,7 +113,7 @@ class Station:
             self._start_tool(),
         ):
             task = asyncio.create_task(work)
-            task.add_done_callback(self._on_task_end)
+            self.watch_over(task)
             self._tasks.append(task)
         self.supervisor.start_recorder()
         self.supervisor.start_estimator()
@@ -124,6 +124,10 @@ class Station:
             why = "the service was ended from outside during the run"
             run = run.model_copy(update={"state": RunState.FAILED, "why": why})
             self.journal.write(JournalKind.RUN, f"Run {run.id} failed: {why}", run=run)
+
+    def watch_over(self, task: asyncio.Task[None]) -> None:
+        """A part of the server must not end unnoticed."""
+        task.add_done_callback(self._on_task_end)
 
     def _on_task_end(self, task: asyncio.Task[None]) -> None:
         """An unexpected end of a part of the server: motor to zero, say so, and be unhealthy from then on."""

@@ -175,10 +175,11 @@ class People:
         self._seen = self._mark()
 
     def refresh(self) -> bool:
-        """Take notice of a change of the file; whether there was one."""
+        """Take notice of a change of the file; whether there was one. One that cannot be read is tried again."""
         mark = self._mark()
-        if mark == self._seen:
+        if mark == self._seen and not self.fault:
             return False
+        before = self.entries, self.fault
         self._seen = mark
         self.guarded |= mark is not None
         try:
@@ -187,7 +188,7 @@ class People:
                 self.fault = f"{self._data / FILE} is gone: nobody is let in. Put it back, or start the service again."
         except ConfigurationError as error:
             self.entries, self.fault = [], f"Nobody is let in. {error}"
-        return True
+        return before != (self.entries, self.fault)
 
     def find(self, token: str) -> Entry | None:
         """Whose token it is, if it is good. Every entry is compared, so that the time tells nothing."""
