@@ -23,7 +23,9 @@ USER graspwatch
 # compiled filters are kept here; compiling them now makes the first start a warm one
 ENV NUMBA_CACHE_DIR=/home/graspwatch/.cache/numba
 WORKDIR /home/graspwatch
-RUN graspwatch run trapezoid_4hz --tissue liver
+RUN graspwatch run trapezoid_4hz --tissue liver && mkdir graspwatch-data
+# Others can reach it, so it does not start before there is a token; keep the data folder in a volume:
+# docker run --rm -v graspwatch-data:/home/graspwatch/graspwatch-data IMAGE graspwatch token add NAME --role admin
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=3s --start-period=60s \
     CMD python -c "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8000/api/health', timeout=2)"

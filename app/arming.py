@@ -21,7 +21,7 @@ class Arming:
     """Follows the state machine of the acquisition worker, and remembers its fault when that worker dies."""
 
     def __init__(
-        self, commander: Commander, alarms: AlarmBook, supervisor: Supervisor, tell_event: Callable[[str], None]
+        self, commander: Commander, alarms: AlarmBook, supervisor: Supervisor, tell_event: Callable[..., None]
     ) -> None:
         self._commander, self._alarms, self._supervisor = commander, alarms, supervisor
         self._tell_event = tell_event
@@ -54,7 +54,7 @@ class Arming:
         self._supervisor.begin_with_fault(why)
         self._changed.set()
 
-    async def arm(self) -> None:
+    async def arm(self, by: str | None) -> None:
         """Test the tool; it is armed when this returns.
 
         Raises:
@@ -69,7 +69,7 @@ class Arming:
             raise RefusedError("The self-test did not end in time. See the alarms, then try again.") from None
         if self.safety is not Safety.ARMED:
             raise RefusedError(f"Not armed: {self.why or f'the tool is {self.safety.value}'}.")
-        self._tell_event("Armed: tare and self-test passed")
+        self._tell_event("Armed: tare and self-test passed", by=by)
 
     async def _while_testing(self) -> None:
         """The worker has obeyed; its blocks from now on tell how that goes."""
@@ -80,14 +80,14 @@ class Arming:
             self._changed.clear()
             await self._changed.wait()
 
-    async def disarm(self) -> None:
+    async def disarm(self, by: str | None) -> None:
         """Motor to zero; nothing starts before the tool is armed again.
 
         Raises:
             ServiceError: the acquisition does not answer.
         """
         await self._commander.send(bus.Disarm())
-        self._tell_event("Disarmed")
+        self._tell_event("Disarmed", by=by)
 
     async def acknowledge(self, alarm_id: str, seen: Priority, by: str) -> Alarm:
         """Somebody has seen an alarm. That of a fault unlatches it: the tool can be armed again.

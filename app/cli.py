@@ -1,6 +1,7 @@
 """The command line. Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service,
 7 journal."""
 
+import contextlib
 import json
 import sys
 from pathlib import Path
@@ -24,9 +25,12 @@ from app.options import (
     LibraryOption,
     ProgressBar,
     SeedOption,
+    TlsCertOption,
+    TlsKeyOption,
     data_folder,
     errors,
 )
+from app.people import command as people
 from app.report.command import report
 from app.study import command as study
 from config.errors import ConfigurationError, GraspwatchError, ToolError
@@ -44,6 +48,7 @@ app = typer.Typer(
 )
 app.add_typer(study.app, name="study")
 app.add_typer(audit.app, name="audit")
+app.add_typer(people.app, name="token")
 for command in (*exchange.COMMANDS, report):
     app.command(command.__name__.strip("_").replace("_", "-"))(command)
 app.command("learn", cls=LearnCommand)(learn)
@@ -67,6 +72,8 @@ def serve(
     seed: SeedOption = 0,
     host: Annotated[str | None, typer.Option(help="Address to listen on; 0.0.0.0 for the whole network.")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen on; 0 for a free one.")] = None,
+    tls_cert: TlsCertOption = None,
+    tls_key: TlsKeyOption = None,
     config: ConfigOption = None,
     data: DataOption = None,
     demo: Annotated[bool, typer.Option("--demo", help="Repeat a protocol on each tissue in turn.")] = False,
@@ -90,6 +97,7 @@ def serve(
 
         check_driver(chosen)
     rig = load_tool(RECORDED_WITH)
+    settings = _with_tls(settings, tls_cert, tls_key)
     _serve(ServicePlan(chosen, library, settings, held, seed, data_folder(data, settings), rig, demo=demo), host, port)
 
 
@@ -153,6 +161,8 @@ def replay(
     serve_it: Annotated[bool, typer.Option("--serve", help="Watch it in the dashboard, with pause and seek.")] = False,
     host: Annotated[str | None, typer.Option(help="With --serve: address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="With --serve: port to listen on.")] = None,
+    tls_cert: TlsCertOption = None,
+    tls_key: TlsKeyOption = None,
     config: ConfigOption = None,
     data: DataOption = None,
     as_json: JsonOption = False,
@@ -180,6 +190,7 @@ def replay(
     if serve_it:
         if as_json or speed is not None:
             raise ConfigurationError("--serve shows the recording in the dashboard; leave --json and --speed out.")
+        settings = _with_tls(settings, tls_cert, tls_key)
         held, folder = next(iter(profiles.tissues)), data_folder(data, settings)
         plan = ServicePlan(rig, profiles, settings, held, 0, folder, rig, tuple(files))
         _serve(plan, host, port)
@@ -233,14 +244,26 @@ def _simulated_tool(settings: Settings) -> Tool:
     return named if named.kind is ToolKind.SIMULATED else load_tool("simulated")
 
 
+def _with_tls(settings: Settings, cert: Path | None, key: Path | None) -> Settings:
+    """With what the command line says."""
+    changes = {name: str(path) for name, path in (("tls_cert", cert), ("tls_key", key)) if path}
+    return settings.model_copy(update={"server": settings.server.model_copy(update=changes)})
+
+
 def _serve(plan: Any, host: str | None, port: int | None) -> None:
     from app.main import create_app, listen
     from app.main import serve as serve_app
+    from app.people.door import check_bind, check_certificate
 
     server = plan.settings.server
-    listener = listen(host or server.host, server.port if port is None else port)
-    application = create_app(plan)
-    address, bound = listener.getsockname()[:2]
+    check_certificate(server.tls_cert, server.tls_key)
+    with contextlib.ExitStack() as unless_served:
+        listener = unless_served.enter_context(listen(host or server.host, server.port if port is None else port))
+        address, bound = listener.getsockname()[:2]
+        warning = check_bind(address, plan.data, server.tls_cert is not None)
+        application = create_app(plan)
+        unless_served.pop_all()
+    scheme = "https" if server.tls_cert else "http"
     shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else address
     what = f"replay of {', '.join(path.name for path in plan.opened)}" if plan.opened else plan.tool.title
     errors.print(f"Graspwatch {__version__}: {what}. Research instrument, not a medical device.", soft_wrap=True)
@@ -248,8 +271,11 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
         errors.print(
             "Preparing the filters; the very first start compiles them, which takes up to a minute.", soft_wrap=True
         )
-    print(f"Dashboard: http://{shown}:{bound}/  (API: http://{shown}:{bound}/docs)  Ctrl+C ends it.", flush=True)
-    serve_app(application, listener)
+    if warning:
+        errors.print(warning, style="yellow", soft_wrap=True)
+    url = f"{scheme}://{shown}:{bound}"
+    print(f"Dashboard: {url}/  (API: {url}/docs)  Ctrl+C ends it.", flush=True)
+    serve_app(application, listener, server)
 
 
 def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import logging
 import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -17,30 +18,61 @@ from app import __version__, problems
 from app.audit.deeds import Deeds
 from app.audit.watch import ChainWatch
 from app.demo import demonstrate
+from app.people.door import bounded
+from app.people.gate import Gate
+from app.people.guard import Guard
+from app.people.rights import describe, open_paths, rights_of
+from app.people.roles import ANYBODY
 from app.plan import ServicePlan
 from app.replay.films import Films
 from app.replay.shelf import Shelf
 from app.report.reports import Reports
-from app.roles import Admin, is_loopback
-from app.routes import alarms, audit, catalogue, history, live, recordings, runs, studies, system
+from app.routes import (
+    alarms,
+    audit,
+    catalogue,
+    control,
+    history,
+    live,
+    recordings,
+    runs,
+    session,
+    studies,
+    system,
+)  # fmt: skip
 from app.station import Station
 from app.store.opening import open_for_service
 from app.study.desk import StudyDesk
 from config.errors import ServiceError
+from config.schema import Server
 
 STATIC = Path(__file__).parent / "static"
 DEAD_READER_MS = 10_000
 PAGES = ("/", "/recordings", "/recordings/{name}", "/tissues", "/studies", "/system")
 DOCUMENTATION = ("/docs", "/redoc", "/static-offline-docs")
+POLICY = "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+DOCUMENTATION_POLICY = "default-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'"
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+ROUTERS = tuple(
+    each.router
+    for each in (runs, control, session, history, audit, alarms, catalogue, system, studies, recordings, live)
+)
+LONGEST_WORD_BYTES = 65_536  # of a viewer
 
 
 def create_app(plan: ServicePlan) -> FastAPI:
     """The application for a plan; its workers live as long as it does.
 
     Raises:
-        GraspwatchError: the index cannot be opened, or the admin's token not be read.
+        GraspwatchError: the index cannot be opened, or the file of people not be read.
     """
-    admin = Admin(plan.settings.server.admin_token_file)
+    guard = Guard(plan)
     store = open_for_service(plan.index_url, plan.data)
 
     @contextlib.asynccontextmanager
@@ -52,6 +84,8 @@ def create_app(plan: ServicePlan) -> FastAPI:
         reports = contextlib.aclosing(Reports(plan))
         await station.start()
         chain = contextlib.aclosing(ChainWatch(plan.data, station.index, station.alarms))
+        watch = asyncio.create_task(guard.watch(station))
+        station.watch_over(watch)
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
         async with (
             index, desk as app.state.studies, films as app.state.films, shelf as app.state.shelf,
@@ -60,6 +94,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
             try:
                 yield
             finally:
+                watch.cancel()
                 if demo:
                     demo.cancel()
                 await station.stop()
@@ -70,18 +105,23 @@ def create_app(plan: ServicePlan) -> FastAPI:
         description="Watches a laparoscopic grasper close on tissue. Research instrument, not a medical device.",
         lifespan=lifespan,
     )
-    app.state.admin = admin
+    app.state.guard = guard
+    rights = rights_of(ROUTERS)
+    describe(app, rights)
     problems.install(app)
-    for routes in (runs, history, audit, alarms, catalogue, system, studies, recordings, live):
-        app.include_router(routes.router)
+    for router in ROUTERS:
+        app.include_router(router)
+    app.add_middleware(
+        Gate, guard=guard, open_paths=open_paths(rights), most_body_bytes=plan.settings.server.most_body_bytes
+    )
     app.middleware("http")(_add_security_headers)
     app.add_middleware(Deeds)
     if (STATIC / "index.html").is_file():
         for page in PAGES:
-            app.get(page, include_in_schema=False)(_dashboard)
+            app.get(page, dependencies=[ANYBODY], include_in_schema=False)(_dashboard)
         app.mount("/", StaticFiles(directory=STATIC), name="dashboard")
     else:
-        app.get("/", include_in_schema=False)(_dashboard_missing)
+        app.get("/", dependencies=[ANYBODY], include_in_schema=False)(_dashboard_missing)
     return app
 
 
@@ -97,10 +137,11 @@ async def _dashboard_missing() -> Response:
 async def _add_security_headers(request: Request, call_next: RequestResponseEndpoint) -> Response:
     response = await call_next(request)
     documentation = request.url.path.startswith(DOCUMENTATION)  # its pages carry a script of their own
-    policy = "default-src 'self' 'unsafe-inline'; img-src 'self' data:" if documentation else "default-src 'self'"
+    policy = DOCUMENTATION_POLICY if documentation else POLICY
     response.headers.setdefault("Content-Security-Policy", policy)  # a route may have set a narrower one
-    response.headers["X-Content-Type-Options"] = "nosniff"
-    response.headers["Referrer-Policy"] = "no-referrer"
+    if request.url.path.startswith("/api/"):
+        response.headers.setdefault("Cache-Control", "no-store")
+    response.headers.update(HEADERS)
     return response
 
 
@@ -110,7 +151,10 @@ def listen(host: str, port: int) -> socket.socket:
     Raises:
         ServiceError: the port is taken or the address is not this machine's.
     """
-    listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(
+        family, socket.SOCK_STREAM, socket.IPPROTO_TCP
+    )  # unless TCP is named, asyncio lets Nagle wait
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_READER_MS)
     try:
@@ -125,15 +169,25 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def serve(app: FastAPI, listener: socket.socket) -> None:
+def serve(app: FastAPI, listener: socket.socket, server: Server) -> None:
     """Serve until SIGINT or SIGTERM."""
-    app.state.admin.only_this_machine = is_loopback(listener.getsockname()[0])
     config = uvicorn.Config(
         app,
+        http=bounded(server.most_connections),
         ws="websockets-sansio",
         ws_per_message_deflate=False,
+        ws_max_size=LONGEST_WORD_BYTES,
+        ssl_certfile=server.tls_cert,
+        ssl_keyfile=server.tls_key,
+        server_header=False,
         log_level="warning",
         access_log=False,
         timeout_graceful_shutdown=2,
     )
+    logging.getLogger("uvicorn.error").addFilter(_is_news)
     uvicorn.Server(config).run(sockets=[listener])
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """uvicorn takes a WebSocket that was refused with an answer for a failure, and would say so for each of a flood."""
+    return "without completing handshake" not in record.getMessage()

@@ -23,6 +23,10 @@ DataOption = Annotated[
     Path | None,
     typer.Option("--data", metavar="FOLDER", help="Journal, recordings and studies; default: as configured."),
 ]
+TlsCertOption = Annotated[
+    Path | None, typer.Option("--tls-cert", metavar="FILE", help="Certificate (PEM) for https, with --tls-key.")
+]
+TlsKeyOption = Annotated[Path | None, typer.Option("--tls-key", metavar="FILE", help="The certificate's key (PEM).")]
 RECORDED_WITH = "smart_tool_2013"
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of config/graspwatch.toml.")

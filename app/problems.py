@@ -1,8 +1,9 @@
 """Errors of the REST interface as `application/problem+json` (RFC 9457)."""
 
+from collections.abc import Mapping
 from http import HTTPStatus
 
-from fastapi import FastAPI, Request
+from fastapi import FastAPI, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
@@ -16,23 +17,33 @@ PROBLEM = {"content": {"application/problem+json": {"schema": Problem.model_json
 class ProblemError(Exception):
     """A request that cannot be met; `field` names the part of the body at fault."""
 
-    def __init__(self, status: HTTPStatus, detail: str, field: str | None = None) -> None:
+    def __init__(
+        self, status: HTTPStatus, detail: str, field: str | None = None, headers: dict[str, str] | None = None
+    ) -> None:
         super().__init__(detail)
-        self.status, self.detail, self.field = status, detail, field
+        self.status, self.detail, self.field, self.headers = status, detail, field, headers
+
+    def response(self) -> JSONResponse:
+        errors = [{"field": self.field, "message": self.detail}] if self.field else None
+        return _answer(self.status, self.detail, errors, self.headers)
 
 
-def _answer(status: int, detail: str, errors: list[dict[str, str]] | None = None) -> JSONResponse:
+def _answer(
+    status: int, detail: str, errors: list[dict[str, str]] | None = None, headers: Mapping[str, str] | None = None
+) -> JSONResponse:
     problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, errors=errors)
-    return JSONResponse(problem.model_dump(exclude_none=True), status, media_type="application/problem+json")
+    return JSONResponse(problem.model_dump(exclude_none=True), status, headers, media_type="application/problem+json")
 
 
 def install(app: FastAPI) -> None:
     """Answer every error of `app` as a problem."""
 
     @app.exception_handler(ProblemError)
-    async def on_problem(request: Request, error: ProblemError) -> JSONResponse:
-        errors = [{"field": error.field, "message": error.detail}] if error.field else None
-        return _answer(error.status, error.detail, errors)
+    async def on_problem(request: Request | WebSocket, error: ProblemError) -> JSONResponse | None:
+        if isinstance(request, WebSocket):  # one that was not accepted yet
+            await request.send_denial_response(error.response())
+            return None
+        return error.response()
 
     @app.exception_handler(RequestValidationError)
     async def on_invalid(request: Request, error: RequestValidationError) -> JSONResponse:
@@ -57,4 +68,4 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def on_http(request: Request, error: HTTPException) -> JSONResponse:
-        return _answer(error.status_code, str(error.detail))
+        return _answer(error.status_code, str(error.detail), headers=error.headers)

@@ -26,6 +26,7 @@ from app.joiner import Joiner
 from app.journal import Journal
 from app.live import Hub
 from app.metrics import Metrics
+from app.people.lease import Control
 from app.plan import ServicePlan
 from app.record.link import RecorderLink
 from app.record.recorder import DEMONSTRATION, Brief
@@ -74,6 +75,7 @@ class Station:
         self.supervisor = Supervisor(plan, self._on_death)
         self.watchdog = Watchdog(self.supervisor, self.alarms, self.tell_event)
         self.runs = RunBook()
+        self.control = Control(plan.settings.people.control_expires_s)
         self.demo: str | None = "The demonstration begins as soon as the tool is ready" if plan.demo else None
         self.internal_error: str | None = None
         self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED else None
@@ -116,7 +118,7 @@ class Station:
             self._start_tool(),
         ):
             task = asyncio.create_task(work)
-            task.add_done_callback(self._on_task_end)
+            self.watch_over(task)
             self._tasks.append(task)
         self.supervisor.start_recorder()
         self.supervisor.start_guard()
@@ -128,6 +130,10 @@ class Station:
             why = "the service was ended from outside during the run"
             run = run.model_copy(update={"state": RunState.FAILED, "why": why})
             self.journal.write(JournalKind.RUN, f"Run {run.id} failed: {why}", run=run)
+
+    def watch_over(self, task: asyncio.Task[None]) -> None:
+        """A part of the server must not end unnoticed."""
+        task.add_done_callback(self._on_task_end)
 
     def _on_task_end(self, task: asyncio.Task[None]) -> None:
         """An unexpected end of a part of the server: motor to zero, say so, and be unhealthy from then on."""
@@ -167,7 +173,7 @@ class Station:
         """
         self.arming.check_fault()
         if self.arming.safety is not Safety.ARMED and self.plan.settings.safety.arm_with_start:
-            await self.arming.arm()
+            await self.arming.arm(by)
         prefix = DEMONSTRATION if self.demo else ""
         run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
         self.recorder.brief(Brief(run.id, protocol.model_dump_json(), cycles, tissue, by))
@@ -404,6 +410,7 @@ class Station:
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
                 self._watch_disk()
+                self.control.renew(self.runs.current.by if self.runs.current else None)
                 self.tell_state()
 
     def conditions(self) -> dict[str, str]:
@@ -453,6 +460,8 @@ class Station:
         self.hub.broadcast(self.state())
 
     def _control(self) -> str | None:
+        if self.control.holder:
+            return self.control.holder
         run = self.runs.current
         if run is None:
             return None

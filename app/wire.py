@@ -61,6 +61,21 @@ class RunState(StrEnum):
     FAILED = "failed"
 
 
+class Role(StrEnum):
+    """What somebody may do: each as much as those before, and more."""
+
+    VIEWER = "viewer"
+    """Watches, and presses STOP."""
+    OPERATOR = "operator"
+    """Runs protocols and acknowledges alarms."""
+    ADMIN = "admin"
+    """Deletes recordings."""
+
+    def includes(self, other: "Role") -> bool:
+        order = list(Role)
+        return order.index(self) >= order.index(other)
+
+
 class AlarmKind(StrEnum):
     FORCE = "force"
     TECHNICAL = "technical"
@@ -249,7 +264,7 @@ class State(Wire):
     last_run: Run | None
     simulated_tissue: str | None
     demo: str | None = Field(description="What the demonstration is showing; null when there is none")
-    control: str | None = Field(description="Who holds the tool: whoever started the run under way")
+    control: str | None = Field(description="Who holds the tool: who has control, else who started the run under way")
     rate_hz: float
     lost_samples: int
     estimator_latency_ms: float | None
@@ -312,7 +327,7 @@ class Alarm(Wire):
 class AcknowledgeRequest(Wire):
     """Somebody has seen an alarm."""
 
-    by: Person
+    by: Person | None = Field(None, description="Who has; whoever is signed in may leave it out")
     priority: Priority = Field(description="What was seen; refused if the alarm is worse by now")
 
 
@@ -368,6 +383,8 @@ class JournalKind(StrEnum):
     DELETED = "deleted"
     REQUEST = "request"
     """Somebody asked for a change: who, what, from where, and what came of it."""
+    ACCESS = "access"
+    """Somebody signed in or out, took or gave back control, or a token was made, taken back or wrong."""
     CHAIN = "chain"
     """The journal says something of itself: where its chain begins, or a line was cut off."""
 
@@ -549,6 +566,33 @@ class System(Wire):
     settings: dict[str, Any] = Field(description="The settings in use")
 
 
+class SignIn(Wire):
+    """Sign a browser in."""
+
+    token: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class SessionInfo(Wire):
+    """Who asks."""
+
+    needed: bool = Field(description="Whether this service has tokens; without them everybody at the machine is admin")
+    name: str | None = Field(description="Null: not signed in, or without need")
+    role: Role | None = Field(description="Null: not signed in")
+
+
+class ControlRequest(Wire):
+    """Take control of the tool."""
+
+    take_over: bool = Field(False, description="Also where somebody else has it")
+
+
+class ControlInfo(Wire):
+    """Who has control of the tool: the only operator who may start."""
+
+    holder: str | None = Field(description="Null: nobody; whoever starts next")
+    expires_in_s: float = Field(description="Unless the holder does something meanwhile")
+
+
 class StopAnswer(Wire):
     """What a stop did."""
 
@@ -557,8 +601,10 @@ class StopAnswer(Wire):
 
 
 class Health(Wire):
+    """Whoever is not signed in, where that is needed, learns the status alone."""
+
     status: Literal["ready", "starting", "faulted"]
-    version: str
+    version: str | None
     workers: dict[str, str]
     detail: str
 

@@ -17,10 +17,12 @@ SCHEMA_FILE = Path(__file__).parents[1] / "frontend" / "src" / "wire.schema.json
 
 SENT_BY_SERVER = (
     "ServerMessage", "Run", "ProtocolInfo", "LibraryInfo", "Grasp", "StopAnswer", "Health", "Problem", "Alarm",
-    "JournalEntry", "JournalCheck", "Recordings", "Studies", "StudyRun", "System", "SafetyReport",
+    "JournalEntry", "JournalCheck", "Recordings", "Studies", "StudyRun", "System", "SafetyReport", "SessionInfo",
+    "ControlInfo",
 )  # fmt: skip
 SENT_BY_BROWSER = (
     "RunRequest", "ArmRequest", "StopRequest", "FrameReceived", "AcknowledgeRequest", "ReplayControl", "StudyRequest",
+    "SignIn", "ControlRequest",
 )  # fmt: skip
 
 # Fields of `FRAME_HEADER`, in order

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from enum import StrEnum
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
@@ -454,7 +454,37 @@ class Server(Model):
     max_viewers: Annotated[int, Field(ge=1)] = 100
     history_s: Positive = 10.0
     chart_window_frames: Annotated[int, Field(ge=1)] = 8
-    admin_token_file: str | None = None
+    tls_cert: str | None = None
+    tls_key: str | None = None
+    requests_per_s: Positive = 100.0
+    burst_requests: Annotated[int, Field(ge=1)] = 500
+    most_body_bytes: Annotated[int, Field(ge=1000)] = 65_536
+    most_connections: Annotated[int, Field(ge=10)] = 500
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_admin_token_file(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "admin_token_file" in given:
+            if given["admin_token_file"] is not None:
+                raise ValueError(
+                    "admin_token_file is a thing of the past: leave it out, and give each admin a token of his own "
+                    "with `graspwatch token add NAME --role admin`"
+                )
+            return {key: value for key, value in given.items() if key != "admin_token_file"}
+        return given
+
+    @model_validator(mode="after")
+    def _certificate_and_key(self) -> Self:
+        if (self.tls_cert is None) != (self.tls_key is None):
+            raise ValueError("tls_cert and tls_key go together: set both or neither")
+        return self
+
+
+class People(Model):
+    """How long a browser stays signed in without a sign of life, and an operator in control without doing anything."""
+
+    session_idle_s: Positive = 3600.0
+    control_expires_s: Positive = 600.0
 
 
 class Conditioning(Model):
@@ -531,6 +561,7 @@ class Settings(Model):
     data_folder: str = "graspwatch-data"
     index_url: SecretStr | None = None  # it may hold a password: never shown
     server: Server = Server()
+    people: People = People()
     conditioning: Conditioning = Conditioning()
     identification: Identification = Identification()
     safety: Arming = Arming()

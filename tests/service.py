@@ -4,6 +4,7 @@ import json
 import os
 import re
 import signal
+import ssl
 import subprocess
 import sys
 import tempfile
@@ -33,10 +34,14 @@ def until(condition: Callable[[], Any], timeout_s: float = 30.0) -> Any:
 
 
 class Service:
-    """`graspwatch serve` (or `replay --serve`) on a free port with a data folder of its own, ended with the block."""
+    """`graspwatch serve` (or `replay --serve`) on a free port with a data folder of its own, ended with the block.
 
-    def __init__(self, *arguments: str, data: Path | None = None) -> None:
+    With `--tls-cert` the client trusts what `trust` does.
+    """
+
+    def __init__(self, *arguments: str, data: Path | None = None, trust: ssl.SSLContext | None = None) -> None:
         self._arguments = arguments or ("serve",)
+        self._trust = trust
         self._folder = tempfile.TemporaryDirectory(prefix="graspwatch-data-")
         self.data = data or Path(self._folder.name)
 
@@ -46,13 +51,13 @@ class Service:
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "200"},
         )  # fmt: skip
         line = self.process.stdout.readline()
-        found = re.search(r"http://localhost:(\d+)/", line)
+        found = re.search(r"(https?)://localhost:(\d+)/", line)
         if not found:
             raise AssertionError(f"no address: {line!r}; {self.process.communicate()[1]}")
-        self.port = int(found[1])
-        self.url = f"http://127.0.0.1:{self.port}"
-        self.live_url = f"ws://127.0.0.1:{self.port}/api/live"
-        self.http = httpx.Client(base_url=self.url, timeout=5.0)
+        self.port = int(found[2])
+        self.url = f"{found[1]}://127.0.0.1:{self.port}"
+        self.live_url = f"{found[1].replace('http', 'ws')}://127.0.0.1:{self.port}/api/live"
+        self.http = httpx.Client(base_url=self.url, timeout=5.0, verify=self._trust or True)
         try:
             until(self.ready, 90.0)
         except AssertionError:

@@ -79,8 +79,14 @@ def _note(request: HTTPConnection, asked: bytes, status: HTTPStatus, answered: b
         reason = str(_said(answered, "detail") or status.phrase)[:REASON_LENGTH]
     journal.deed(
         route.name, deed.get("what") or " ".join(words), client=client_of(request), result=result,
-        by=deed.get("by") or _named(request, asked), reason=reason,
+        by=deed.get("by") or _signed_in(request) or _named(request, asked), reason=reason,
     )  # fmt: skip
+
+
+def _signed_in(request: HTTPConnection) -> str | None:
+    """Whom the gate knows; what else a request says of that does not count then."""
+    who = getattr(request.state, "who", None)
+    return who.name if who else None
 
 
 def _named(request: HTTPConnection, asked: bytes) -> str | None:

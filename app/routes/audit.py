@@ -8,10 +8,11 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 from app.audit.export import JournalFormat, Wanted, export
 from app.audit.watch import ChainWatch
+from app.people.roles import needs
 from app.problems import PROBLEM
 from app.routes.runs import station_of
 from app.store.questions import Words
-from app.wire import JournalCheck
+from app.wire import JournalCheck, Role
 
 router = APIRouter(prefix="/api/audit", tags=["history"])
 MEDIA_TYPES = {JournalFormat.CSV: "text/csv", JournalFormat.JSONL: "application/jsonl"}
@@ -28,7 +29,11 @@ class ExportQuestion(BaseModel):
     by: Words | None = None
 
 
-@router.get("/check", responses={503: {"description": "The index cannot be asked", **PROBLEM}})
+@router.get(
+    "/check",
+    dependencies=[needs(Role.VIEWER)],
+    responses={503: {"description": "The index cannot be asked", **PROBLEM}},
+)
 async def check(request: Request) -> JournalCheck:
     """Whether any line was changed, removed, put in or moved: by the chain, and by what the index knows.
 
@@ -38,7 +43,7 @@ async def check(request: Request) -> JournalCheck:
     return await chain.look()
 
 
-@router.get("/export", response_class=StreamingResponse)
+@router.get("/export", dependencies=[needs(Role.ADMIN)], response_class=StreamingResponse)
 async def export_journal(request: Request, asked: Annotated[ExportQuestion, Query()]) -> StreamingResponse:
     """The journal, oldest line first: a table, or the lines as they stand."""
     lines = export(station_of(request).plan.data, Wanted(asked.since, asked.until, asked.by), asked.format)

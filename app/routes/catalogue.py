@@ -6,8 +6,9 @@ from fastapi import APIRouter, Request, Response
 from acquisition.protocol import command_cycle
 from app import __version__
 from app.describe import library_info, tool_info
+from app.people.roles import ANYBODY, needs, who_asks
 from app.routes.runs import station_of
-from app.wire import Health, LibraryInfo, Phase, ProtocolInfo, ToolInfo
+from app.wire import Health, LibraryInfo, Phase, ProtocolInfo, Role, ToolInfo
 from config.errors import RefusedError
 from config.load import available, load_protocol
 from config.schema import Protocol, Tool
@@ -16,7 +17,11 @@ router = APIRouter(tags=["catalogue"])
 PREVIEW_POINTS = 200
 
 
-@router.get("/api/health", responses={503: {"model": Health, "description": "Starting, or faulted"}})
+@router.get(
+    "/api/health",
+    dependencies=[ANYBODY],
+    responses={503: {"model": Health, "description": "Starting, or faulted"}},
+)
 async def health(request: Request, response: Response) -> Health:
     """Ready once the filters are compiled and samples arrive."""
     station = request.app.state.station
@@ -32,16 +37,18 @@ async def health(request: Request, response: Response) -> Health:
     else:
         status, detail = "ready", phase.value
     response.status_code = 200 if status == "ready" else 503
+    if who_asks(request) is None:
+        return Health(status=status, version=None, workers={}, detail="Sign in to learn more.")
     return Health(status=status, version=__version__, workers=workers, detail=detail)
 
 
-@router.get("/api/tool")
+@router.get("/api/tool", dependencies=[needs(Role.VIEWER)])
 async def tool(request: Request) -> ToolInfo:
     """The tool in use."""
     return tool_info(station_of(request).plan.tool)
 
 
-@router.get("/api/protocols")
+@router.get("/api/protocols", dependencies=[needs(Role.VIEWER)])
 async def protocols(request: Request) -> list[ProtocolInfo]:
     """The protocols, the shortest first, each with its waveform for a preview."""
     in_use = station_of(request).plan.tool
@@ -68,13 +75,13 @@ def _preview(protocol: Protocol, tool: Tool) -> ProtocolInfo:
     )
 
 
-@router.get("/api/tissues")
+@router.get("/api/tissues", dependencies=[needs(Role.VIEWER)])
 async def tissues(request: Request) -> LibraryInfo:
     """The tissue library in use."""
     return library_info(station_of(request).plan)
 
 
-@router.get("/metrics", include_in_schema=False)
+@router.get("/metrics", dependencies=[needs(Role.VIEWER)], include_in_schema=False)
 async def metrics(request: Request) -> Response:
     """Prometheus metrics."""
     return Response(station_of(request).metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")

@@ -2,12 +2,14 @@
 
 from fastapi import APIRouter, WebSocket
 
+from app.people.roles import needs
 from app.station import Station
+from app.wire import Role
 
 router = APIRouter()
 
 
-@router.websocket("/api/live")
+@router.websocket("/api/live", dependencies=[needs(Role.VIEWER)])
 async def live(socket: WebSocket) -> None:
     """Hello, the last seconds, then everything as it happens; see app/wire.py."""
     station: Station = socket.app.state.station

@@ -12,17 +12,17 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 
 from app.audit.deeds import client_of
 from app.live import Viewer
+from app.people.roles import needs, signed_by
 from app.problems import PROBLEM, ProblemError
 from app.replay.films import Films
 from app.replay.player import Replay, refuse
 from app.replay.shelf import Shelf
 from app.report.reports import Reports
-from app.roles import Admin, Role
 from app.routes.paging import tell_page
 from app.routes.studies import REPORT_POLICY
 from app.station import Station
 from app.store.questions import RecordingQuestion
-from app.wire import FileRecord, JournalKind, Person, RecordingInfo, Recordings, ReportProgress, Result
+from app.wire import FileRecord, JournalKind, Person, RecordingInfo, Recordings, ReportProgress, Result, Role
 from config.errors import GraspwatchError, RecordingError, RefusedError
 
 router = APIRouter(prefix="/api/recordings", tags=["recordings"])
@@ -32,7 +32,7 @@ WAITING_POLICY = (
 )
 
 
-@router.get("")
+@router.get("", dependencies=[needs(Role.VIEWER)])
 async def recordings(request: Request, response: Response, asked: Annotated[RecordingQuestion, Query()]) -> Recordings:
     """What can be replayed. Durations are null until the file has been read: ask again in a second."""
     shelf: Shelf = request.app.state.shelf
@@ -54,6 +54,7 @@ def _fits(recording: RecordingInfo, asked: RecordingQuestion) -> bool:
 
 @router.get(
     "/{name}/file",
+    dependencies=[needs(Role.VIEWER)],
     response_class=FileResponse,
     responses={
         206: {"description": "The part that `Range` asked for"},
@@ -76,6 +77,7 @@ async def _path(request: Request, name: str) -> Path:
 
 @router.delete(
     "/{name}",
+    dependencies=[needs(Role.ADMIN)],
     status_code=HTTPStatus.NO_CONTENT,
     responses={
         403: {"description": "Not an admin", **PROBLEM},
@@ -84,12 +86,14 @@ async def _path(request: Request, name: str) -> Path:
         503: {"description": "It cannot be deleted, or not be written down", **PROBLEM},
     },
 )
-async def delete(request: Request, name: str, by: Annotated[Person, Query(description="Who deletes it")]) -> None:
+async def delete(
+    request: Request,
+    name: str,
+    by: Annotated[Person | None, Query(description="Who deletes it; whoever is signed in may leave it out")] = None,
+) -> None:
     """Delete a recording for good: only an admin may. The journal and the index keep who did it."""
     station: Station = request.app.state.station
-    admin: Admin = request.app.state.admin
-    if admin.role(request) is not Role.ADMIN:
-        raise ProblemError(HTTPStatus.FORBIDDEN, admin.how)
+    by = signed_by(request, by)
     path = await _path(request, name)
     _refuse_in_use(request, path)
     now = datetime.now(UTC).isoformat(timespec="milliseconds")
@@ -137,6 +141,7 @@ async def _record(station: Station, path: Path) -> FileRecord:
     )  # fmt: skip
 @router.get(
     "/{name}/report",
+    dependencies=[needs(Role.VIEWER)],
     response_class=HTMLResponse,
     responses={
         200: {"description": "The page, self-contained"},
@@ -173,7 +178,7 @@ async def report(request: Request, name: str) -> Response:
     return JSONResponse(ReportProgress(done=made).model_dump(), HTTPStatus.ACCEPTED, fresh)
 
 
-@router.websocket("/{name}/replay")
+@router.websocket("/{name}/replay", dependencies=[needs(Role.VIEWER)])
 async def replay(socket: WebSocket, name: str) -> None:
     """The recording as it would have been seen live, with pause, seek and speed; see app/wire.py."""
     station: Station = socket.app.state.station

@@ -8,16 +8,19 @@ from fastapi import APIRouter, Body, Query, Request, Response
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import Safety
 from app.audit.deeds import note_deed
+from app.people.roles import needs, signed
 from app.problems import PROBLEM, ProblemError
+from app.routes.control import take_control
 from app.routes.paging import tell_page
 from app.station import Station
 from app.store.questions import RunQuestion
-from app.wire import ArmRequest, Grasp, Phase, Run, RunRequest, SafetyReport, StopAnswer, StopRequest
+from app.wire import ArmRequest, Grasp, Phase, Role, Run, RunRequest, SafetyReport, StopAnswer, StopRequest
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import available, choose, holdable, load_protocol
 from config.schema import ToolKind
 
 router = APIRouter(prefix="/api", tags=["runs"])
+NO_SUCH_RUN = {404: {"description": "No such run", **PROBLEM}}
 
 
 def station_of(request: Request) -> Station:
@@ -26,9 +29,10 @@ def station_of(request: Request) -> Station:
 
 @router.post(
     "/runs",
+    dependencies=[needs(Role.OPERATOR)],
     status_code=HTTPStatus.CREATED,
     responses={
-        409: {"description": "A run is under way", **PROBLEM},
+        409: {"description": "A run is under way, or somebody else has control", **PROBLEM},
         422: {"description": "A field is at fault", **PROBLEM},
         503: {"description": "The tool does not answer", **PROBLEM},
     },
@@ -48,9 +52,11 @@ async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> 
         ProtocolPlayer(protocol, station.plan.tool, cycles)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), error.field) from None
+    take_control(request)
     await _make_room(station)
+    by = signed(request, wanted.by)
     try:
-        return await station.start_run(protocol, cycles, wanted.tissue or station.simulated_tissue, wanted.by)
+        return await station.start_run(protocol, cycles, wanted.tissue or station.simulated_tissue, by)
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
@@ -83,21 +89,31 @@ def _check_tissue(station: Station, tissue: str | None) -> None:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "tissue") from None
 
 
-@router.post("/arm", responses={409: {"description": "It cannot be armed", **PROBLEM}})
+@router.post(
+    "/arm",
+    dependencies=[needs(Role.OPERATOR)],
+    responses={409: {"description": "It cannot be armed", **PROBLEM}},
+)
 async def arm(request: Request, wanted: ArmRequest | None = None) -> SafetyReport:
     """Tare the tool and test it at rest, so that it may move. A start does so itself, unless the settings forbid it."""
     station = station_of(request)
     check_tool(station)
-    await station.arming.arm()
+    take_control(request)
+    await station.arming.arm(signed(request, wanted.by if wanted else None))
     return SafetyReport(safety=station.arming.safety)
 
 
-@router.post("/disarm", responses={409: {"description": "The tool does not answer", **PROBLEM}})
+@router.post(
+    "/disarm",
+    dependencies=[needs(Role.OPERATOR)],
+    responses={409: {"description": "The tool does not answer", **PROBLEM}},
+)
 async def disarm(request: Request, wanted: ArmRequest | None = None) -> SafetyReport:
     """Motor to zero, and nothing starts before the tool is armed again; a run under way is stopped."""
     station = station_of(request)
     check_tool(station)
-    await station.arming.disarm()
+    take_control(request)
+    await station.arming.disarm(signed(request, wanted.by if wanted else None))
     return SafetyReport(safety=Safety.DISARMED)
 
 
@@ -110,7 +126,7 @@ def check_tool(station: Station) -> None:
         raise ProblemError(HTTPStatus.CONFLICT, "This service only shows recordings: there is no tool to run.")
 
 
-@router.get("/runs", responses={503: {"description": "No index", **PROBLEM}})
+@router.get("/runs", dependencies=[needs(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM}})
 async def list_runs(request: Request, response: Response, asked: Annotated[RunQuestion, Query()]) -> list[Run]:
     """Runs of this service and earlier ones, oldest first; how many there are on all is in `X-Total-Count`."""
     station = station_of(request)
@@ -119,7 +135,7 @@ async def list_runs(request: Request, response: Response, asked: Annotated[RunQu
     return [station.runs.get(run.id) or run for run in found.items]
 
 
-@router.get("/runs/{run_id}", responses={404: {"description": "No such run", **PROBLEM}})
+@router.get("/runs/{run_id}", dependencies=[needs(Role.VIEWER)], responses=NO_SUCH_RUN)
 async def get_run(request: Request, run_id: str) -> Run:
     """One run."""
     station = station_of(request)
@@ -129,7 +145,7 @@ async def get_run(request: Request, run_id: str) -> Run:
     return run
 
 
-@router.get("/runs/{run_id}/grasps", responses={404: {"description": "No such run", **PROBLEM}})
+@router.get("/runs/{run_id}/grasps", dependencies=[needs(Role.VIEWER)], responses=NO_SUCH_RUN)
 async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
     """The finished grasps of a run."""
     await get_run(request, run_id)
@@ -139,7 +155,7 @@ async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
     return await station.index.ask(station.index.store.grasps_of, run_id)
 
 
-@router.post("/runs/{run_id}/stop", responses={404: {"description": "No such run", **PROBLEM}})
+@router.post("/runs/{run_id}/stop", dependencies=[needs(Role.VIEWER)], responses=NO_SUCH_RUN)
 async def stop_run(request: Request, run_id: str, wanted: StopRequest | None = None) -> StopAnswer:
     """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
     run = await get_run(request, run_id)
@@ -149,14 +165,16 @@ async def stop_run(request: Request, run_id: str, wanted: StopRequest | None = N
     return await stop(request, wanted)
 
 
-@router.post("/stop", responses={503: {"description": "The tool does not answer", **PROBLEM}})
+@router.post(
+    "/stop", dependencies=[needs(Role.VIEWER)], responses={503: {"description": "The tool does not answer", **PROBLEM}}
+)
 async def stop(request: Request, wanted: StopRequest | None = None) -> StopAnswer:
     """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
     station = station_of(request)
     station.demo = None
     before = station.runs.current
     try:
-        stopped = await station.stop_run("asked to stop", wanted.by if wanted else None)
+        stopped = await station.stop_run("asked to stop", signed(request, wanted.by if wanted else None))
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None

@@ -8,9 +8,10 @@ from fastapi import APIRouter, Body, Request
 from fastapi.responses import FileResponse
 
 from app.audit.deeds import note_deed
+from app.people.roles import needs, signed
 from app.problems import PROBLEM, ProblemError
 from app.study.desk import StudyDesk
-from app.wire import StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
+from app.wire import Role, StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import choose
 from estimator.studies.catalogue import STUDIES, StudyEntry
@@ -27,7 +28,7 @@ def desk_of(request: Request) -> StudyDesk:
     return request.app.state.studies
 
 
-@router.get("")
+@router.get("", dependencies=[needs(Role.VIEWER)])
 async def list_studies(request: Request) -> Studies:
     """What can be studied, and what has been, newest first."""
     desk = desk_of(request)
@@ -40,6 +41,7 @@ async def list_studies(request: Request) -> Studies:
 
 @router.post(
     "",
+    dependencies=[needs(Role.OPERATOR)],
     status_code=HTTPStatus.CREATED,
     responses={
         409: {"description": "A study is under way", **PROBLEM},
@@ -56,7 +58,7 @@ async def start_study(request: Request, wanted: Annotated[StudyRequest, Body()])
         detail = f"The study {entry.name} takes at most {entry.most}."
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "grasps")
     try:
-        return desk_of(request).start(entry, grasps, wanted.seed, wanted.by)
+        return desk_of(request).start(entry, grasps, wanted.seed, signed(request, wanted.by))
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     except ServiceError as error:
@@ -70,7 +72,7 @@ def _entry(name: str) -> StudyEntry:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "study") from None
 
 
-@router.get("/{study_id}", responses=NOT_FOUND)
+@router.get("/{study_id}", dependencies=[needs(Role.VIEWER)], responses=NOT_FOUND)
 async def get_study(request: Request, study_id: str) -> StudyRun:
     """One study, with how far it is."""
     run = desk_of(request).get(study_id)
@@ -79,21 +81,21 @@ async def get_study(request: Request, study_id: str) -> StudyRun:
     return run
 
 
-@router.post("/{study_id}/stop", responses=NOT_FOUND)
+@router.post("/{study_id}/stop", dependencies=[needs(Role.OPERATOR)], responses=NOT_FOUND)
 async def stop_study(request: Request, study_id: str, wanted: StopRequest | None = None) -> StudyRun:
     """Stop this study. Stopping one that is over changes nothing."""
     run = await get_study(request, study_id)
-    return await desk_of(request).stop(run.id, "asked to stop", wanted.by if wanted else None)
+    return await desk_of(request).stop(run.id, "asked to stop", signed(request, wanted.by if wanted else None))
 
 
-@router.get("/{study_id}/report", response_class=FileResponse, responses=NOT_FOUND)
+@router.get("/{study_id}/report", dependencies=[needs(Role.VIEWER)], response_class=FileResponse, responses=NOT_FOUND)
 async def report(request: Request, study_id: str) -> FileResponse:
     """Its page, self-contained."""
     path = await _result(request, study_id, "html")
     return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
 
-@router.get("/{study_id}/figures", response_class=FileResponse, responses=NOT_FOUND)
+@router.get("/{study_id}/figures", dependencies=[needs(Role.VIEWER)], response_class=FileResponse, responses=NOT_FOUND)
 async def figures(request: Request, study_id: str) -> FileResponse:
     """Every figure and table of its page as JSON."""
     return FileResponse(await _result(request, study_id, "json"), media_type="application/json")

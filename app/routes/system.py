@@ -8,14 +8,15 @@ from fastapi import APIRouter, Request
 
 from app import __version__
 from app.describe import free_bytes
+from app.people.roles import needs
 from app.routes.runs import station_of
-from app.wire import System
+from app.wire import Role, System
 
 router = APIRouter(prefix="/api", tags=["system"])
 PACKAGES = ("fastapi", "uvicorn", "websockets", "numpy", "scipy", "numba", "pydantic", "nidaqmx", "pyzmq", "plotly")
 
 
-@router.get("/system")
+@router.get("/system", dependencies=[needs(Role.VIEWER)])
 async def system(request: Request) -> System:
     """Versions, machine, workers, and the configuration in use (read-only)."""
     station = station_of(request)

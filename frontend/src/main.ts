@@ -11,6 +11,7 @@ import { forgetHints } from "./shell/hints";
 import { Keys } from "./shell/keys";
 import { Person } from "./shell/person";
 import { Router, type Route } from "./shell/router";
+import { Session } from "./shell/session";
 import { AlarmSound } from "./shell/sound";
 import { Staleness } from "./shell/staleness";
 import { StatusStrip } from "./shell/status";
@@ -18,7 +19,8 @@ import { StopButton } from "./shell/stop";
 import { Theme } from "./shell/theme";
 
 const model = new Model();
-const person = new Person();
+const session = new Session();
+const person = new Person(session);
 const stop = new StopButton(person);
 const status = new StatusStrip(model);
 const staleness = new Staleness(model);
@@ -112,6 +114,7 @@ function watch(): void {
 const connection = new Connection("/api/live", {
   onConnected: (connected) => {
     model.connected = connected;
+    if (!connected) void session.check();
     if (connected && router.page === live) live?.connected();
     schedule();
   },
@@ -155,9 +158,14 @@ byId("hints-again").addEventListener("click", () => {
 byId("stop").addEventListener("click", () => live?.stopped());
 
 const ticker = new Worker(new URL("./shell/ticker.worker.ts", import.meta.url), { type: "module" });
-ticker.onmessage = () => {
-  watch();
-  if (model.freshness.at(performance.now()) !== "live" || router.page !== live) schedule(); // else the next frame does
-};
-void router.show();
-connection.start();
+
+void session.load().then((known) => {
+  person.show();
+  if (!known) return;
+  ticker.onmessage = () => {
+    watch();
+    if (model.freshness.at(performance.now()) !== "live" || router.page !== live) schedule(); // else the next frame does
+  };
+  void router.show();
+  connection.start();
+});

@@ -4,6 +4,7 @@ import { arm, disarm, getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
 import type { Person } from "../shell/person";
 import type { Hello, Phase, ProtocolInfo, Run, RunRequest, Safety, State } from "../wire";
+import { ControlLine } from "./control";
 import { drawWaveform } from "./waveform";
 
 /** Null: where the tool stands says more. */
@@ -35,6 +36,7 @@ export class ProtocolPanel {
   private readonly start = byId<HTMLButtonElement>("start");
   private readonly armButton = byId<HTMLButtonElement>("arm");
   private readonly message = byId("run-message");
+  private readonly control: ControlLine;
   private protocols: ProtocolInfo[] = [];
   private startedRun: string | null = null;
   private tissuesFor: Hello["holdable"] | null = null;
@@ -43,6 +45,7 @@ export class ProtocolPanel {
     private readonly model: Model,
     private readonly person: Person,
   ) {
+    this.control = new ControlLine(person, (failure) => this.say(failure, "failed"));
     this.protocol.addEventListener("change", () => this.preview());
     this.armButton.addEventListener("click", () => void this.armOrDisarm());
     byId("run-form").addEventListener("submit", (event) => {
@@ -70,6 +73,7 @@ export class ProtocolPanel {
     const { hello, state } = this.model;
     if (hello && this.tissuesFor !== hello.holdable) this.listTissues(hello);
     setHidden(byId("run-form"), this.model.hasNoTool);
+    this.control.render(state);
     setText(byId("phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
     setData(byId("phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
     setText(this.armButton, this.isArmed(state) ? "Disarm" : "Arm");
@@ -90,7 +94,7 @@ export class ProtocolPanel {
   }
 
   private async submit(): Promise<void> {
-    if (this.start.ariaBusy === "true") return;
+    if (this.start.ariaBusy === "true" || !this.person.may("operator")) return;
     this.say("Starting…", "pending");
     setAttribute(this.start, "aria-busy", "true");
     try {

@@ -1,9 +1,31 @@
 import type {
-  AcknowledgeRequest, Alarm, ArmRequest, Priority, Problem, ProtocolInfo, Run, RunRequest, SafetyReport, StopAnswer, StopRequest,
+  AcknowledgeRequest,
+  Alarm,
+  ArmRequest,
+  ControlInfo,
+  ControlRequest,
+  Priority,
+  Problem,
+  ProtocolInfo,
+  Run,
+  RunRequest,
+  SafetyReport,
+  SessionInfo,
+  SignIn,
+  StopAnswer,
+  StopRequest,
 } from "../wire";
 
 const PATIENCE_MS = 5000;
 const STOP_PATIENCE_MS = 2000;
+const UNAUTHORIZED = 401;
+const SESSION = "/api/session";
+const CONTROL = "/api/control";
+
+let tellUnknown = (): void => {};
+
+/** Calls `then` whenever the server does not know who asks. */
+export const onUnknown = (then: () => void): void => void (tellUnknown = then);
 
 /** The server said no, in words meant for the person. */
 export class Refused extends Error {}
@@ -38,6 +60,22 @@ export const acknowledgeAlarm = (id: string, priority: Priority, by: string): Pr
   return postJson(`/api/alarms/${encodeURIComponent(id)}/acknowledge`, request);
 };
 
+export const getSession = (): Promise<SessionInfo> => getJson(SESSION);
+
+export const signIn = (token: string): Promise<SessionInfo> => {
+  const request: SignIn = { token };
+  return postJson(SESSION, request);
+};
+
+export const signOut = (): Promise<null> => deletePath(SESSION);
+
+export const takeControl = (): Promise<ControlInfo> => {
+  const request: ControlRequest = { take_over: true };
+  return postJson(CONTROL, request);
+};
+
+export const giveControlBack = (): Promise<null> => deletePath(CONTROL);
+
 async function ask<Answer>(method: string, path: string, patienceMs: number, body?: unknown): Promise<Answer> {
   let response: Response;
   try {
@@ -52,6 +90,7 @@ async function ask<Answer>(method: string, path: string, patienceMs: number, bod
     const timedOut = error instanceof DOMException && error.name === "TimeoutError";
     throw new Unreachable(timedOut ? `no answer within ${patienceMs / 1000} s` : "the server cannot be reached");
   }
+  if (response.status === UNAUTHORIZED && path !== SESSION) tellUnknown();
   throw new Refused(await inWords(response));
 }
 

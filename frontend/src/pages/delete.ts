@@ -6,7 +6,7 @@ const ARMED_MS = 5000;
 
 /** Deletes a recording on the second press. No question holds the page up: STOP must work. */
 export function deleteButton(name: string, person: Person, told: (text: string | null) => void): HTMLButtonElement {
-  const button = create("button", "action", "Delete");
+  const button = create("button", "action needs-admin", "Delete");
   button.type = "button";
   button.dataset.testid = "recording-delete";
   button.ariaLabel = `Delete ${name}`;

@@ -70,7 +70,7 @@ export class AlarmBar {
 
   /** The highest one that nobody has acknowledged yet; one that the bar does not show is shown first. */
   acknowledge(): void {
-    const alarm = this.shown.find(({ acknowledgedBy }) => acknowledgedBy === null);
+    const alarm = this.shown.find((each) => this.canAcknowledge(each));
     if (!alarm) return;
     if (alarm === this.shown[0] || this.listOpen) this.acknowledgeOne(alarm);
     else this.toggleList();
@@ -93,6 +93,11 @@ export class AlarmBar {
     });
   }
 
+  /** The page's own alarms are anybody's. */
+  private canAcknowledge({ id, acknowledgedBy }: ShownAlarm): boolean {
+    return acknowledgedBy === null && (id.startsWith("page:") || this.person.may("operator"));
+  }
+
   private renderBar(alarms: ShownAlarm[], nowMs: number): void {
     const top = alarms[0];
     setData(this.bar, "priority", top?.priority ?? "none");
@@ -103,7 +108,7 @@ export class AlarmBar {
     const more = byId("alarm-more");
     setHidden(more, alarms.length < 2);
     setText(more, `+${alarms.length - 1} more`);
-    setHidden(byId("acknowledge"), alarms.every(({ acknowledgedBy }) => acknowledgedBy !== null));
+    setHidden(byId("acknowledge"), !alarms.some((alarm) => this.canAcknowledge(alarm)));
   }
 
   private renderList(alarms: ShownAlarm[], nowMs: number): void {

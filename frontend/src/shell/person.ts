@@ -1,15 +1,17 @@
 import { byId, setText } from "../dom";
+import type { Role } from "../wire";
+import type { Session } from "./session";
 
 const KEY = "graspwatch-person";
 
-/** Who sits at this page: asked once, kept in this browser, sent with what the person does. */
+/** Who sits at this page: who is signed in, or else asked once and kept in this browser; sent with what he does. */
 export class Person {
   private readonly dialog = byId<HTMLDialogElement>("person-dialog");
   private readonly field = byId<HTMLInputElement>("person-name");
   private waiting: ((name: string) => void) | null = null;
 
-  constructor() {
-    byId("person").addEventListener("click", () => this.open(null));
+  constructor(private readonly session: Session) {
+    byId("person").addEventListener("click", () => (session.needed ? session.open() : this.open(null)));
     byId("person-cancel").addEventListener("click", () => this.close());
     byId("person-form").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -19,7 +21,16 @@ export class Person {
   }
 
   get name(): string | null {
-    return localStorage.getItem(KEY);
+    return this.session.needed ? this.session.name : localStorage.getItem(KEY);
+  }
+
+  /** Whether there is a sign-in, and so control that one person has. */
+  get isSignedIn(): boolean {
+    return this.session.needed && this.session.name !== null;
+  }
+
+  may(role: Role): boolean {
+    return this.session.may(role);
   }
 
   /** Calls `then` with the name, asking for it first if there is none yet. */
@@ -31,6 +42,7 @@ export class Person {
   close(): void {
     this.waiting = null;
     this.dialog.close();
+    this.session.close();
   }
 
   private open(then: ((name: string) => void) | null): void {
@@ -49,7 +61,9 @@ export class Person {
     then?.(name);
   }
 
-  private show(): void {
-    setText(byId("person"), this.name ? `You: ${this.name}` : "Who are you?");
+  show(): void {
+    const { needed, name, role } = this.session;
+    if (needed) setText(byId("person"), name ? `${name} · ${role}` : "Sign in");
+    else setText(byId("person"), this.name ? `You: ${this.name}` : "Who are you?");
   }
 }

@@ -1,0 +1,90 @@
+"""Where the service listens: whether it may without tokens, TLS, and how many connections it keeps."""
+
+import ssl
+import time
+from asyncio import BaseTransport
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from uvicorn.protocols.http.auto import AutoHTTPProtocol
+
+from app.people.origin import is_loopback
+from app.people.tokens import FILE, read
+from config.errors import ConfigurationError
+
+IN_THE_CLEAR = (
+    "Warning: tokens and all else travel unencrypted to other machines. Set --tls-cert and --tls-key, or put a proxy "
+    "with TLS before a service that listens on 127.0.0.1."
+)
+
+
+def check_bind(host: str, data: Path, tls: bool) -> str | None:
+    """Whether a service may listen on `host`; returns what has to be said about it.
+
+    Raises:
+        ConfigurationError: not without tokens.
+    """
+    people = read(data)
+    if is_loopback(host):
+        return None
+    if not any(entry.good for entry in people):
+        raise ConfigurationError(
+            f"On {host} others can reach the tool, and nobody has a good token in {data / FILE}. Make one with "
+            f"`graspwatch token add NAME --role admin --data {data}`, or listen on 127.0.0.1."
+        )
+    return None if tls else IN_THE_CLEAR
+
+
+def check_certificate(cert: str | None, key: str | None) -> None:
+    """Raises ConfigurationError: the two are not what TLS needs."""
+    if cert is None and key is None:
+        return
+    if cert is None or key is None:
+        raise ConfigurationError("--tls-cert and --tls-key go together: set both or neither.")
+    for path in (cert, key):
+        if not Path(path).is_file():
+            raise ConfigurationError(f"{path}: there is no such file. Check --tls-cert and --tls-key.")
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(cert, key, password=_no_password)
+    except (ssl.SSLError, OSError) as error:
+        raise ConfigurationError(
+            f"{cert} and {key}: are no certificate with its key ({error.strerror or error}). Both are PEM files, the "
+            "key without a password."
+        ) from None
+
+
+def _no_password() -> str:
+    """Else OpenSSL asks at the terminal."""
+    return ""
+
+
+def bounded(most: int) -> type:
+    """A protocol of connections of which no more than `most` are open.
+
+    Beyond that, whoever has most of them loses one: first one without a request, then the oldest. So somebody who opens
+    thousands hurts himself, and a STOP gets through. WebSockets stay; the viewers have a bound of their own.
+    """
+
+    class Bounded(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+        def connection_made(self, transport: BaseTransport) -> None:
+            self.since_s = time.monotonic()
+            if len(self.connections) >= most:
+                _make_room(self.connections)
+            super().connection_made(transport)
+
+    def _make_room(connections: set[Any]) -> None:
+        mine = [each for each in connections if isinstance(each, Bounded) and each.client]
+        if mine:
+            [(busiest, _)] = Counter(each.client[0] for each in mine).most_common(1)
+            its = [each for each in mine if each.client[0] == busiest]
+            victim = min(its, key=lambda each: (_is_busy(each), each.since_s))
+            connections.discard(victim)
+            victim.transport.abort()
+
+    return Bounded
+
+
+def _is_busy(connection: Any) -> bool:
+    """Whether a request is being answered."""
+    return connection.cycle is not None and not connection.cycle.response_complete

@@ -1,0 +1,13 @@
+from pathlib import Path
+
+import pytest
+
+from app.plan import ServicePlan
+from config.load import load_tool
+from config.schema import Settings, TissueLibrary, Tool
+
+
+@pytest.fixture
+def plan(tool: Tool, library: TissueLibrary, settings: Settings, tmp_path: Path) -> ServicePlan:
+    (tmp_path / "recordings").mkdir()
+    return ServicePlan(tool, library, settings, "liver", 0, tmp_path, load_tool("smart_tool_2013"))

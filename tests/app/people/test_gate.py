@@ -1,0 +1,63 @@
+"""The gate before an application, without a network: what comes too slowly, and a route that forgot the gate."""
+
+import asyncio
+from typing import Any
+
+import pytest
+from fastapi import FastAPI
+
+from app import problems
+from app.people import gate, tokens
+from app.people.guard import Guard
+from app.people.roles import needs
+from app.plan import ServicePlan
+from app.wire import Role, SignIn
+
+
+def answer(app: Any, path: str, receive: Any) -> int:
+    """The status with which a POST is answered."""
+    sent: list[Any] = []
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": "http", "method": "POST", "path": path, "raw_path": path.encode(), "query_string": b"",
+        "scheme": "http", "http_version": "1.1", "server": ("127.0.0.1", 8000), "client": ("127.0.0.1", 5000),
+        "headers": [(b"host", b"localhost:8000"), (b"content-type", b"application/json"), (b"content-length", b"9")],
+    }  # fmt: skip
+    asyncio.run(asyncio.wait_for(app(scope, receive, send), 5.0))
+    return sent[0]["status"]
+
+
+@pytest.fixture
+def app(plan: ServicePlan) -> FastAPI:
+    app = FastAPI()
+    problems.install(app)
+    app.add_middleware(gate.Gate, guard=Guard(plan), open_paths=["/api/open"], most_body_bytes=1000)
+
+    @app.post("/api/open")
+    async def is_open(wanted: SignIn) -> str:
+        return wanted.token
+
+    return app
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(app: FastAPI, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gate, "BODY_S", 0.05)
+
+    async def silence() -> Any:
+        await asyncio.sleep(60.0)
+
+    assert answer(app, "/api/open", silence) == 408
+
+
+def test_a_route_at_an_open_address_still_needs_what_it_says(app: FastAPI, plan: ServicePlan) -> None:
+    tokens.add(plan.data, "Ada", Role.ADMIN)
+    app.router.routes.clear()
+    app.post("/api/open", dependencies=[needs(Role.VIEWER)])(lambda: None)
+
+    async def nothing() -> Any:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    assert answer(app, "/api/open", nothing) == 401

@@ -1,0 +1,76 @@
+"""People with tokens, for tests of a service that asks for them."""
+
+import re
+from pathlib import Path
+
+from app.people import tokens
+from app.wire import Role
+from config.load import CONFIG_DIR
+
+NAMES = {Role.VIEWER: "Vera", Role.OPERATOR: "Otto", Role.ADMIN: "Ada"}
+
+
+def give_tokens(data: Path) -> dict[Role, str]:
+    """One for each role."""
+    return {role: tokens.add(data, name, role) for role, name in NAMES.items()}
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+def config_with(folder: Path, **changes: float) -> Path:
+    """The shipped settings with other values of keys that are in it."""
+    text = (CONFIG_DIR / "graspwatch.toml").read_text()
+    for key, value in changes.items():
+        text, count = re.subn(rf"^{key} = [\d._]+", f"{key} = {value}", text, flags=re.MULTILINE)
+        assert count == 1, key
+    path = folder / "settings.toml"
+    path.write_text(text)
+    return path
+
+
+# Whom each route is open to: written down a second time, so that nobody opens one by mistake. None: to strangers too.
+RIGHTS: dict[tuple[str, str], Role | None] = {
+    ("GET", "/api/health"): None,
+    ("GET", "/api/session"): None,
+    ("POST", "/api/session"): None,
+    ("DELETE", "/api/session"): None,
+    ("GET", "/api/control"): Role.VIEWER,
+    ("POST", "/api/control"): Role.OPERATOR,
+    ("DELETE", "/api/control"): Role.OPERATOR,
+    ("POST", "/api/arm"): Role.OPERATOR,
+    ("POST", "/api/disarm"): Role.OPERATOR,
+    ("GET", "/api/audit/check"): Role.VIEWER,
+    ("GET", "/api/audit/export"): Role.ADMIN,
+    ("POST", "/api/stop"): Role.VIEWER,
+    ("GET", "/api/runs"): Role.VIEWER,
+    ("POST", "/api/runs"): Role.OPERATOR,
+    ("GET", "/api/runs/{run_id}"): Role.VIEWER,
+    ("GET", "/api/runs/{run_id}/grasps"): Role.VIEWER,
+    ("POST", "/api/runs/{run_id}/stop"): Role.VIEWER,
+    ("GET", "/api/alarms"): Role.VIEWER,
+    ("POST", "/api/alarms/{alarm_id}/acknowledge"): Role.OPERATOR,
+    ("GET", "/api/alarms/history"): Role.VIEWER,
+    ("GET", "/api/journal"): Role.VIEWER,
+    ("GET", "/api/audit"): Role.VIEWER,
+    ("GET", "/api/grasps"): Role.VIEWER,
+    ("GET", "/api/files"): Role.VIEWER,
+    ("GET", "/api/tool"): Role.VIEWER,
+    ("GET", "/api/protocols"): Role.VIEWER,
+    ("GET", "/api/tissues"): Role.VIEWER,
+    ("GET", "/api/system"): Role.VIEWER,
+    ("GET", "/metrics"): Role.VIEWER,
+    ("GET", "/api/recordings"): Role.VIEWER,
+    ("GET", "/api/recordings/{name}/file"): Role.VIEWER,
+    ("GET", "/api/recordings/{name}/report"): Role.VIEWER,
+    ("DELETE", "/api/recordings/{name}"): Role.ADMIN,
+    ("WEBSOCKET", "/api/recordings/{name}/replay"): Role.VIEWER,
+    ("WEBSOCKET", "/api/live"): Role.VIEWER,
+    ("GET", "/api/studies"): Role.VIEWER,
+    ("POST", "/api/studies"): Role.OPERATOR,
+    ("GET", "/api/studies/{study_id}"): Role.VIEWER,
+    ("POST", "/api/studies/{study_id}/stop"): Role.OPERATOR,
+    ("GET", "/api/studies/{study_id}/report"): Role.VIEWER,
+    ("GET", "/api/studies/{study_id}/figures"): Role.VIEWER,
+}
