@@ -134,7 +134,7 @@ def run(
             cycles=count, seed=seed, real_time=real_time, record=record, progress=progress,
         )  # fmt: skip
     _print_reports([report.document()], as_json)
-    for text in report.let_go or ():
+    for text in report.let_go:
         errors.print(text, soft_wrap=True)
     if report.failure:
         raise ToolError(report.failure)

@@ -34,7 +34,7 @@ class Report:
     samples: int = 0
     lost_samples: int = 0
     grasps: list[GraspRecord] = field(default_factory=list)
-    let_go: list[str] | None = None  # of a run: what is told of each grasp that the limiter let go
+    let_go: list[str] = field(default_factory=list)  # what is told of each grasp that the limiter let go
     failure: str | None = None  # why a run ended before its protocol
     comparison: Comparison | None = None  # of a replay with what was recorded
 
@@ -47,7 +47,7 @@ class Report:
             "library": self.library,
             "grasps": [asdict(grasp) for grasp in self.grasps],
         }
-        if self.let_go is not None:
+        if self.let_go:
             document["let_go"] = self.let_go
         if self.comparison:
             document["recorded"] = self.comparison.document()
@@ -65,7 +65,7 @@ def run_protocol(
         ToolError: the board failed.
         RecordingError: the file exists, or cannot be written.
     """
-    report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz, let_go=[])
+    report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz)
     session = EstimationSession(tool, library, settings)
     source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
     run_id = record.stem if record else "run"

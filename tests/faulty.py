@@ -52,6 +52,7 @@ class Bench:
     tissue: str = "bladder"
     seed: int = 1
     cycles: int = 3
+    sensor_seed: int = 0
     samples: list[np.ndarray] = field(default_factory=list)
     grasps: list[GraspRecord] = field(default_factory=list)
     labels: set[str] = field(default_factory=set)
@@ -60,7 +61,7 @@ class Bench:
 
     def __post_init__(self) -> None:
         grasper = SimulatedGrasper(TOOL, LIBRARY, self.tissue, self.seed)
-        self.sensors = FaultySensors(grasper, TOOL)
+        self.sensors = FaultySensors(grasper, TOOL, self.sensor_seed)
         self.board = SimulatedBoard(TOOL, self.sensors, VirtualClock())
         self.source = NidaqTool(TOOL, in_process_options(self.board), self.board.clock.now_ns)
         hold_back = HoldBack(TOOL, LIBRARY, SETTINGS.limiter)

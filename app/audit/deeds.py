@@ -68,17 +68,20 @@ class Deeds:
 
 def _note(request: HTTPConnection, asked: bytes, status: HTTPStatus, answered: bytes) -> None:
     route = request.scope.get("route")
-    if route is None:
-        return  # nothing is there that could have been changed
+    if route is None and status is not HTTPStatus.FORBIDDEN:
+        return  # nothing is there that could have been changed, or the gate knows nobody, and says so itself
     journal: Journal = request.app.state.station.journal
     deed = getattr(request.state, "deed", {})
-    words = [route.name.replace("_", " ").capitalize(), *map(str, request.path_params.values())]
+    name = route.name if route else str(request.scope["method"])
+    words = [name.replace("_", " ").capitalize(), *map(str, request.path_params.values())]
+    if route is None:
+        words = [name, str(request.scope["path"])[:REASON_LENGTH]]
     result, reason = Result.DONE, None
     if status >= HTTPStatus.BAD_REQUEST:
         result = Result.FAILED if status >= HTTPStatus.INTERNAL_SERVER_ERROR else Result.REFUSED
         reason = str(_said(answered, "detail") or status.phrase)[:REASON_LENGTH]
     journal.deed(
-        route.name, deed.get("what") or " ".join(words), client=client_of(request), result=result,
+        name, deed.get("what") or " ".join(words), client=client_of(request), result=result,
         by=deed.get("by") or _signed_in(request) or _named(request, asked), reason=reason,
     )  # fmt: skip
 

@@ -1,9 +1,12 @@
 """Runs: start, stop, look up."""
 
+import asyncio
+import contextlib
 from http import HTTPStatus
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Request, Response
+from pydantic import ValidationError
 
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import Safety
@@ -20,6 +23,8 @@ from config.load import available, choose, holdable, load_protocol
 from config.schema import ToolKind
 
 router = APIRouter(prefix="/api", tags=["runs"])
+BODY_S = 0.1
+STOP_BODY = {"requestBody": {"content": {"application/json": {"schema": StopRequest.model_json_schema()}}}}
 NO_SUCH_RUN = {404: {"description": "No such run", **PROBLEM}}
 
 
@@ -155,26 +160,40 @@ async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
     return await station.index.ask(station.index.store.grasps_of, run_id)
 
 
-@router.post("/runs/{run_id}/stop", dependencies=[needs(Role.VIEWER)], responses=NO_SUCH_RUN)
-async def stop_run(request: Request, run_id: str, wanted: StopRequest | None = None) -> StopAnswer:
+async def _who_stops(request: Request) -> str | None:
+    """Whom the body names. A stop is obeyed whatever stands in it, and does not wait for one that does not come."""
+    said = None
+    with contextlib.suppress(TimeoutError, ValidationError):
+        async with asyncio.timeout(BODY_S):
+            said = StopRequest.model_validate_json(await request.body() or "{}").by
+    return signed(request, said)
+
+
+@router.post(
+    "/runs/{run_id}/stop", dependencies=[needs(Role.VIEWER)], responses=NO_SUCH_RUN, openapi_extra=STOP_BODY
+)
+async def stop_run(request: Request, run_id: str) -> StopAnswer:
     """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
     run = await get_run(request, run_id)
     current = station_of(request).runs.current
     if current is None or current.id != run.id:
         return StopAnswer(stopped=False, run=run)
-    return await stop(request, wanted)
+    return await stop(request)
 
 
 @router.post(
-    "/stop", dependencies=[needs(Role.VIEWER)], responses={503: {"description": "The tool does not answer", **PROBLEM}}
+    "/stop",
+    dependencies=[needs(Role.VIEWER)],
+    responses={503: {"description": "The tool does not answer", **PROBLEM}},
+    openapi_extra=STOP_BODY,
 )
-async def stop(request: Request, wanted: StopRequest | None = None) -> StopAnswer:
+async def stop(request: Request) -> StopAnswer:
     """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
     station = station_of(request)
     station.demo = None
     before = station.runs.current
     try:
-        stopped = await station.stop_run("asked to stop", signed(request, wanted.by if wanted else None))
+        stopped = await station.stop_run("asked to stop", await _who_stops(request))
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None

@@ -12,6 +12,7 @@ from acquisition.bus import ForceLimit
 from acquisition.control import Acquisition
 from acquisition.limiter import HoldBack, ThresholdInForce
 from acquisition.protocol import ProtocolPlayer
+from acquisition.safety import Safety
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.source import RawBlock
 from config.schema import Protocol, Settings, TissueLibrary, Tool, Trapezoid
@@ -92,7 +93,8 @@ def true_tool(case: LimitedCase, tool: Tool) -> Tool:
 def play(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings) -> Played:
     """Play the case on a new grasper with the acquisition and its limiter, and the estimator where the case asks it."""
     source = GrasperSource(_grasper(case, tool, library), tool.board.block_samples)
-    acquisition = Acquisition(source, tool, settings.conditioning, HoldBack(tool, library, settings.limiter))
+    hold_back = HoldBack(tool, library, settings.limiter)
+    acquisition = Acquisition(source, tool, settings.conditioning, hold_back, Safety.ARMED)
     acquisition.start("study", protocol_of(case, tool), case.grasps)
     teller = Teller(case, tool, library, settings)
     in_force = ThresholdInForce(library, round(settings.limiter.limit_expires_s * tool.board.sample_rate_hz))

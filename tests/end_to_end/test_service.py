@@ -293,3 +293,11 @@ def test_a_tool_is_armed_by_hand_where_the_settings_ask_for_it(tmp_path):
         assert running.http.post("/api/runs", json={"protocol": "trapezoid_2hz"}).status_code == 409
         assert running.http.post("/api/arm").json() == {"safety": "armed"}  # waits until the jaws rest
         assert running.http.post("/api/disarm").json() == {"safety": "disarmed"}
+
+
+def test_a_stop_is_obeyed_whatever_stands_in_it(service):
+    for content in (b"{", b'{"by": 7}', b"\xff", b'{"unknown": true}'):
+        run = service.run(protocol="trapezoid_025hz", cycles=5, tissue="bladder")
+        answer = service.http.post("/api/stop", content=content, headers={"Content-Type": "application/json"})
+        assert (answer.status_code, answer.json()["stopped"]) == (200, True)
+        assert service.http.get(f"/api/runs/{run['id']}").json()["state"] == "stopped"

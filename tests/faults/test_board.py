@@ -73,10 +73,10 @@ def test_a_force_that_is_too_large_is_let_go_within_15_ms(ceiling_n, over_n, req
     mapping = TOOL.command_to_force
     eightfold = tuple(8.0 * force_n for force_n in mapping.force_n)
     true = TOOL.model_copy(update={"command_to_force": mapping.model_copy(update={"force_n": eightfold})})
-    steep = TOOL.plausible.model_copy(update={"strain_step_v": 1.0})  # else it is taken for a lost signal, even sooner
+    steep = TOOL.plausible.model_copy(update={"strain_step_v": 1.0, "encoder_step_deg": 90.0})  # else: a lost signal
     limits = TOOL.limits.model_copy(update={"force_ceiling_n": ceiling_n})
     tool = TOOL.model_copy(update={"limits": limits, "plausible": steep})
-    grasper = WatchedGrasper(true, LIBRARY, "gallbladder", seed=1)
+    grasper = WatchedGrasper(true, LIBRARY, "liver", seed=1)
     board = SimulatedBoard(tool, grasper, VirtualClock())
     with NidaqTool(tool, in_process_options(board), board.clock.now_ns) as source:
         hold_back = HoldBack(tool, LIBRARY, SETTINGS.limiter)

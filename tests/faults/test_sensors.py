@@ -15,7 +15,6 @@ LOST = {
     SensorFault.STRAIN_SATURATED: "saturated|jumped",
     SensorFault.STRAIN_DROP_OUT: "jumped|stuck|below its rest",
     SensorFault.STRAIN_JUMP: "jumped|below its rest",
-    SensorFault.STRAIN_NOISE: "scatters|jumped|below its rest|stands still",
     SensorFault.STRAIN_NAN: "gives no number",
     SensorFault.ENCODER_JUMP: "encoder jumped",
 }
@@ -36,6 +35,23 @@ def test_a_lost_signal_brings_the_motor_to_zero_within_15_ms_of_its_first_sample
         reactions.add(fault, moment, took, FLOOR)
         assert 0 < took <= FLOOR
         assert bench.labels <= {tissue, "undecided", "unknown"}
+
+
+@pytest.mark.parametrize("moment", [Moment.RAMP, Moment.HOLD, Moment.RELEASE])
+def test_noise_is_told_from_force_within_15_ms_in_nine_of_ten_cases(moment, reactions):
+    """By chance the first samples may look like sound ones."""
+    took = []
+    for seed in range(30):
+        bench = Bench("bladder", sensor_seed=seed).play(until=AT[moment])
+        bench.sensors.break_at(SensorFault.STRAIN_NOISE, AT[moment] + seed % TOOL.board.block_samples)
+        bench.play()
+        [ended] = bench.ended
+        assert ended.end.value == "failed"
+        took.append(bench.zero_at - bench.sensors.broken_at)
+        reactions.add(SensorFault.STRAIN_NOISE, moment, took[-1], 30)
+        assert bench.labels <= {"bladder", "undecided", "unknown"}
+    assert sum(each <= FLOOR for each in took) >= 0.9 * len(took)
+    assert max(took) <= 30
 
 
 @pytest.mark.parametrize("fault", [SensorFault.ENCODER_STUCK, SensorFault.ENCODER_REVERSED], ids=str)
@@ -87,7 +103,7 @@ def test_a_spike_of_one_sample_ends_nothing(moment):
     assert {grasp.label for grasp in bench.grasps} <= {"bladder", "undecided", "unknown"}
 
 
-@pytest.mark.parametrize("fault", LOST, ids=str)
+@pytest.mark.parametrize("fault", [*LOST, SensorFault.STRAIN_NOISE], ids=str)
 def test_a_sensor_that_breaks_before_the_grasp_keeps_the_motor_at_zero(fault):
     bench = Bench("bladder").play(until=AT[Moment.LEAD_IN])
     bench.sensors.break_now(fault)
@@ -97,7 +113,7 @@ def test_a_sensor_that_breaks_before_the_grasp_keeps_the_motor_at_zero(fault):
     assert not bench.board.outputs
 
 
-@pytest.mark.parametrize("fault", [*LOST, SensorFault.ENCODER_STUCK], ids=str)
+@pytest.mark.parametrize("fault", [*LOST, SensorFault.STRAIN_NOISE, SensorFault.ENCODER_STUCK], ids=str)
 def test_after_a_fault_nothing_moves_until_it_is_acknowledged_and_a_broken_tool_cannot_be_armed(fault):
     bench = Bench("bladder").play(until=AT[Moment.HOLD])
     bench.sensors.break_now(fault)
