@@ -18,7 +18,7 @@ test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/estimator \
 		tests/faults --ignore tests/faults/live
-	$(BIN)/python -m pytest tests/browser tests/end_to_end tests/faults/live  # live tools: one at a time
+	$(BIN)/python -m pytest -m "not long" tests/browser tests/end_to_end tests/faults/live  # live tools: one at a time
 
 audit: $(VENV)/.installed ## known vulnerabilities of the locked versions; says so where nobody could be asked
 	$(BIN)/python .ci/audit.py

@@ -82,6 +82,11 @@ class ProtocolPlayer:
         self._at = 0
 
     @property
+    def samples(self) -> int:
+        """In all, the lead-in included."""
+        return self._lead_in + self._cycles * len(self._cycle)
+
+    @property
     def begins(self) -> bool:
         """Whether nothing has been played yet."""
         return self._at == 0
@@ -93,7 +98,7 @@ class ProtocolPlayer:
 
     @property
     def done(self) -> bool:
-        return self._at >= self._lead_in + self._cycles * len(self._cycle)
+        return self._at >= self.samples
 
     def advance(self, samples: int) -> float:
         """The command for the next `samples` samples, V: that of the first of them; 0 once done."""

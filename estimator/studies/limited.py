@@ -9,7 +9,7 @@ import numpy as np
 
 from acquisition.blocks import SampleBlock
 from acquisition.bus import ForceLimit
-from acquisition.control import Acquisition
+from acquisition.control import Acquisition, RunEnd
 from acquisition.limiter import HoldBack, ThresholdInForce
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import Safety
@@ -63,6 +63,7 @@ class Played:
     samples: np.ndarray
     force_n: np.ndarray
     threshold_n: np.ndarray
+    fault: str = ""  # why the run was ended before its time, with the motor at zero for the rest of it
 
 
 def protocol_of(case: LimitedCase, tool: Tool) -> Protocol:
@@ -99,7 +100,8 @@ def play(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settin
     teller = Teller(case, tool, library, settings)
     in_force = ThresholdInForce(library, round(settings.limiter.limit_expires_s * tool.board.sample_rate_hz))
     blocks, thresholds = [], []
-    while acquisition.running:
+    player = ProtocolPlayer(protocol_of(case, tool), tool, case.grasps)
+    while acquisition.running or len(thresholds) < player.samples:
         block = acquisition.turn()
         assert block is not None, "a grasper's samples have no end"
         last = block.samples[-1]
@@ -108,7 +110,8 @@ def play(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settin
         for limit in teller.tell(block):
             acquisition.allow(limit.threshold_n, limit.tick)
             in_force.tell(limit.threshold_n, limit.tick)
-    return Played(np.concatenate(blocks), np.array(source.force_n), np.array(thresholds))
+    faults = [ended.why for ended in acquisition.take_ended() if ended.end is RunEnd.FAILED]
+    return Played(np.concatenate(blocks), np.array(source.force_n), np.array(thresholds), "".join(faults))
 
 
 def force_without(case: LimitedCase, tool: Tool, library: TissueLibrary) -> np.ndarray:

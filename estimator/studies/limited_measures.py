@@ -37,6 +37,7 @@ class Outcome:
     overshoot: float | None  # over what is held; None where the limit changed meanwhile, or nothing was limited
     settled_s: float | None  # since contact, under the same conditions
     reversals_per_s: float  # of the command at the hold's end
+    fault: str  # why the run was ended before its time
     over_fallen_s: float | None  # for how long the force was over a limit that fell below it
 
 
@@ -72,6 +73,7 @@ def measure(
         overshoot=float(force_n[own].max()) / held_n - 1.0 if steady else None,
         settled_s=settling_s(force_n[own], held_n, rate_hz) if steady else None,
         reversals_per_s=reversals(samples["motor_command_v"][hold]) / PLATEAU_S,
+        fault=with_it.fault,
         over_fallen_s=over_fallen_s(force_n[:end], limit_n[:end], rate_hz),
     )
 

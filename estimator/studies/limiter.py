@@ -97,6 +97,7 @@ def _figures(outcomes: list[Outcome]) -> list[Figure]:
         Figure("over a limit that fell, 99 in 100 shorter",
                _middle(_known(o.over_fallen_s for o in outcomes), 1e3, 0.99), "ms"),
         Figure("let go", _share(o.let_go for o in outcomes), "%"),
+        Figure("ended as a fault: sound sensors taken for lost", _share(bool(o.fault) for o in outcomes), "%"),
         Figure("over the held tissue's own threshold", _share(o.injures for o in outcomes), "%",
                note="only where another tissue's threshold is told"),
         Figure("without the limiter: over the held tissue's own threshold",

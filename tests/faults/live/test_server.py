@@ -14,7 +14,7 @@ from service import Listener, Service, until
 from websockets.asyncio.client import connect
 
 VIEWERS, WHO_NEVER_READ = 100, 10
-STORM_REQUESTS, STORM_CLIENTS = 3_000, 20
+STORM_REQUESTS, STORM_CLIENTS = 500, 20
 STOP_S = 0.5
 LONG = {"protocol": "trapezoid_025hz", "cycles": 20}
 
@@ -58,6 +58,7 @@ def stop_took_ms(service, board) -> float:
     return board.zero_after_ms(begin_ns)
 
 
+@pytest.mark.long
 def test_a_hundred_viewers_of_which_ten_never_read_lose_no_sample_and_stop_works(service, board, reactions):
     run = service.run(**LONG)
     board.wait_for_force()
@@ -105,7 +106,7 @@ def test_a_server_that_is_held_up_for_two_seconds_leaves_the_tool_alone(service,
     os.kill(service.process.pid, signal.SIGCONT)
     with Listener(service) as listener:
         listener.listen(lambda: len(listener.of("state")) > 3)
-        assert not [alarm["text"] for alarm in listener.of("alarm") if alarm["active"]]
+        assert not [alarm["text"] for alarm in listener.of("alarm") if alarm["kind"] == "technical"]
     assert service.http.get(f"/api/runs/{run['id']}").json()["state"] == "running"
     assert {name: service.worker(name) for name in workers} == workers
     assert "graspwatch_lost_samples_total 0.0" in service.http.get("/metrics").text
@@ -130,8 +131,8 @@ def test_a_hung_acquisition_is_brought_to_zero_even_while_the_server_is_held_up(
     service.acknowledge_fault()
 
 
-def test_sigterm_brings_the_motor_to_zero_and_closes_the_files_within_two_seconds(board, reactions):
-    with Service("serve", "--tool", str(board.tool_file)) as running:
+def test_sigterm_brings_the_motor_to_zero_and_closes_the_files_within_two_seconds(tmp_path, reactions):
+    with ServedBoard(tmp_path) as board, Service("serve", "--tool", str(board.tool_file)) as running:
         until(lambda: running.http.get("/api/health").json()["workers"]["guard"] == "running")
         running.run(**LONG)
         board.wait_for_force()
