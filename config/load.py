@@ -54,6 +54,11 @@ def available(folder: str) -> list[str]:
     return sorted(path.stem for path in (CONFIG_DIR / folder).glob("*.toml"))
 
 
+def stamp(folder: str) -> tuple[int, ...]:
+    """When the shipped files in `tools`, `tissues` or `protocols` were changed last, ns each."""
+    return tuple(path.stat().st_mtime_ns for path in sorted((CONFIG_DIR / folder).glob("*.toml")))
+
+
 def choose(name: str, names: list[str], what: str) -> str:
     """`name` if it is one of `names`.
 

@@ -1,7 +1,10 @@
 """What there is: the tool, its protocols, the tissue library, the service's health and metrics."""
 
+import functools
+
 import numpy as np
 from fastapi import APIRouter, Request, Response
+from pydantic import TypeAdapter
 
 from acquisition.protocol import command_cycle
 from app import __version__
@@ -10,7 +13,7 @@ from app.people.roles import ANYBODY, needs, who_asks
 from app.routes.runs import station_of
 from app.wire import Health, LibraryInfo, Phase, ProtocolInfo, Role, ToolInfo
 from config.errors import RefusedError
-from config.load import available, load_protocol
+from config.load import available, load_protocol, stamp
 from config.schema import Protocol, Tool
 
 router = APIRouter(tags=["catalogue"])
@@ -48,12 +51,18 @@ async def tool(request: Request) -> ToolInfo:
     return tool_info(station_of(request).plan.tool)
 
 
-@router.get("/api/protocols", dependencies=[needs(Role.VIEWER)])
-async def protocols(request: Request) -> list[ProtocolInfo]:
+@router.get("/api/protocols", dependencies=[needs(Role.VIEWER)], response_model=list[ProtocolInfo])
+async def protocols(request: Request) -> Response:
     """The protocols, the shortest first, each with its waveform for a preview."""
-    in_use = station_of(request).plan.tool
-    result = [_preview(load_protocol(name), in_use) for name in available("protocols")]
-    return sorted(result, key=lambda protocol: (protocol.cycle_s, protocol.name))
+    return Response(_previews(station_of(request).plan.tool, stamp("protocols")), media_type="application/json")
+
+
+@functools.lru_cache(maxsize=2)
+def _previews(tool: Tool, stamp_ns: tuple[int, ...]) -> bytes:
+    """Worked out once for the files as they are: a storm of requests must not hold up a STOP."""
+    result = [_preview(load_protocol(name), tool) for name in available("protocols")]
+    result.sort(key=lambda protocol: (protocol.cycle_s, protocol.name))
+    return TypeAdapter(list[ProtocolInfo]).dump_json(result)
 
 
 def _preview(protocol: Protocol, tool: Tool) -> ProtocolInfo:
