@@ -43,7 +43,8 @@ def main() -> None:
     if "--keep" not in sys.argv:
         graspwatch = [Path(sys.executable).parent / "graspwatch", "study"]
         for name in names:
-            subprocess.run([*graspwatch, name, "--out", STUDIES, "--seed", SEEDS.get(name, "0")], check=True, cwd=ROOT)
+            seed = ["--seed", SEEDS[name]] if name in SEEDS else []
+            subprocess.run([*graspwatch, name, "--out", STUDIES, *seed], check=True, cwd=ROOT)
         words = ["identify", "--noise-mv", "5", "--out", STUDIES / noisy]
         subprocess.run([*graspwatch, *words], check=True, cwd=ROOT)
     found = {name: json.loads((STUDIES / f"study-{name}.json").read_text()) for name in names}
