@@ -174,11 +174,12 @@ async def _who_stops(request: Request) -> str | None:
 )
 async def stop_run(request: Request, run_id: str) -> StopAnswer:
     """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
+    by = await _who_stops(request)
     run = await get_run(request, run_id)
     current = station_of(request).runs.current
     if current is None or current.id != run.id:
         return StopAnswer(stopped=False, run=run)
-    return await stop(request)
+    return await _stop(station_of(request), by)
 
 
 @router.post(
@@ -189,11 +190,14 @@ async def stop_run(request: Request, run_id: str) -> StopAnswer:
 )
 async def stop(request: Request) -> StopAnswer:
     """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
-    station = station_of(request)
+    return await _stop(station_of(request), await _who_stops(request))
+
+
+async def _stop(station: Station, by: str | None) -> StopAnswer:
     station.demo = None
     before = station.runs.current
     try:
-        stopped = await station.stop_run("asked to stop", await _who_stops(request))
+        stopped = await station.stop_run("asked to stop", by)
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
