@@ -60,6 +60,7 @@ class Acquisition:
         self._player: ProtocolPlayer | None = None
         self._run_id = ""
         self._ended: list[RunEnded] = []
+        self._untested = "the tool did not stay at rest for long enough: try again"  # why not, when it was last judged
         self._hold_back = hold_back
         self._held = 0  # HELD_BACK and LET_GO, of the samples that come next
         self._let_go: list[str] = []
@@ -73,13 +74,14 @@ class Acquisition:
     def arm(self) -> None:
         """Begin the self-test; the tool is armed by one of the next turns, or disarmed again for the reason in `why`.
 
-        A tool that is armed stays so.
+        The strain gage is tared anew with it. A tool that is armed stays so.
 
         Raises:
             RefusedError: a run is under way, or a fault is latched.
         """
-        self._happens(Event.ARM)
-        self._self_test.begin()
+        if self._happens(Event.ARM):
+            self._self_test.begin()
+            self._tare_anew()
 
     def disarm(self) -> None:
         """Motor to zero; nothing starts before the tool is armed again."""
@@ -127,10 +129,12 @@ class Acquisition:
         self._ended.append(RunEnded(self._run_id, end, why))
         return True
 
-    def _happens(self, event: Event) -> None:
+    def _happens(self, event: Event) -> bool:
+        """Returns whether the tool stands elsewhere now."""
         before, self.safety = self.safety, after(self.safety, event)
         if before is not self.safety and event is not Event.FAULT:
             self.why = ""
+        return before is not self.safety
 
     def turn(self) -> SampleBlock | None:
         """Read and condition the next block and set the command that follows it; None at a recording's end.
@@ -159,13 +163,19 @@ class Acquisition:
         return replace(block, safety=self.safety, why=self.why)
 
     def _test(self, lost: str | None) -> None:
-        """Pass as soon as the last samples are those of a sound tool at rest; fail when that takes too long."""
-        why = self._self_test.fault() or lost
-        if why is None:
+        """Pass once a tare was taken while the tool was sound and at rest; fail when that takes too long."""
+        if why := self._self_test.fault() or lost:
+            self._untested = why
+            self._tare_anew()
+        elif self._pipeline.tare.measured:
             self._happens(Event.TEST_PASSED)
-        elif self._self_test.over:
+        if self.safety is Safety.TESTING and self._self_test.over:
             self._happens(Event.TEST_FAILED)
-            self.why = why
+            self.why = self._untested
+
+    def _tare_anew(self) -> None:
+        self._pipeline.tare_anew()
+        self._watch.begin_anew()
 
     def _why_stop(self, block: SampleBlock) -> str | None:
         """What forbids the motor to go on, of a run."""

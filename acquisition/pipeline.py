@@ -68,10 +68,14 @@ class Pipeline:
         tool = self._tool
         self._low_pass = LowPass(self._conditioning, tool.board.sample_rate_hz)
         self._tracker = GraspTracker(tool.contact, tool.calibration.encoder_deg_per_volt)
-        self.tare = Tare(tool.calibration)
+        self.tare_anew()
         self._displacements = np.full(KEPT_DISPLACEMENTS, np.nan)
         self._contact_of = 0
         self._contact_m = np.nan
+
+    def tare_anew(self) -> None:
+        """Take the samples that come next, at rest, for the strain gage's rest."""
+        self.tare = Tare(self._tool.calibration)
 
     def process(self, raw: RawBlock) -> SampleBlock:
         """Calibrated, conditioned and segmented samples of one raw block."""

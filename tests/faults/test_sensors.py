@@ -6,6 +6,7 @@ import pytest
 from faulty import AT, CYCLE, LEAD_IN, PROTOCOL, TOOL, Bench, Moment
 
 from acquisition.safety import Safety
+from acquisition.simulation import faults
 from acquisition.simulation.faults import SensorFault
 from config.errors import RefusedError
 
@@ -157,3 +158,24 @@ def test_the_self_test_refuses_to_arm_a_broken_tool_and_says_why(fault, why):
     bench.rest(150)
     assert bench.acquisition.safety is Safety.DISARMED
     assert why in bench.acquisition.why
+
+
+def test_a_gage_that_rests_elsewhere_since_the_last_run_is_a_fault_until_the_tool_is_armed_anew(monkeypatch):
+    """By more than a grasp may leave behind, and less than the self-test refuses: arming takes a new tare."""
+    monkeypatch.setattr(faults, "JUMP_V", 0.04)
+    bench = Bench("bladder", cycles=1).play().rest(100)
+    acquisition = bench.acquisition
+    assert acquisition.safety is Safety.ARMED
+    bench.sensors.break_now(SensorFault.STRAIN_JUMP)
+    bench.rest(40)
+    assert acquisition.safety is Safety.FAULTED
+    assert "off its tare" in acquisition.why
+    acquisition.acknowledge()
+    acquisition.arm()
+    bench.rest(8)
+    assert acquisition.safety is Safety.TESTING  # 50 samples are a tare
+    bench.rest(200)
+    assert acquisition.safety is Safety.ARMED
+    acquisition.start("again", PROTOCOL, 1)
+    bench.play()
+    assert [ended.end.value for ended in bench.ended] == ["finished", "finished"]
