@@ -1,7 +1,8 @@
 """The guard: a process of its own that brings the motor to zero when the acquisition falls silent in a run.
 
 A board holds its last output when the process that wrote it hangs, is stopped or dies. The guard needs nobody else: it
-hears the blocks as they are published, and resets the device when they stop coming.
+hears the blocks as they are published, and resets the device when they stop coming, again and again until that is done.
+Asked to end, it stays until the motor is known to be at zero.
 """
 
 import time
@@ -21,6 +22,7 @@ LOOKS_EVERY_MS = 10
 SILENT_LOOKS = 6
 """So often in a row nothing came: 60 to 70 ms. Counted in looks, as a guard that was held up itself knows nothing."""
 SAYS_EVERY_S = 0.1
+AGAIN_LOOKS = 5  # after a reset that failed
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ def main(setup: Setup) -> None:
     ask_for_realtime(REALTIME_PRIORITY)
     in_run, silent, said_s = False, 0, 0.0
     try:
-        while not stop.set:
+        while in_run or not stop.set:
             if time.monotonic() - said_s > SAYS_EVERY_S:
                 said_s = time.monotonic()
                 publisher.send_multipart(bus.pack_notice("guarding"))
@@ -52,22 +54,26 @@ def main(setup: Setup) -> None:
                 parts = blocks.recv_multipart()
                 if parts[0] == bus.SAMPLES:
                     in_run, silent = bus.safety_of(parts) in IN_RUN, 0
+                elif bus.unpack_notice(parts)["kind"] == "run_ended":
+                    in_run = False
             elif in_run:
                 silent += 1
                 if silent >= SILENT_LOOKS:
-                    in_run = False
-                    publisher.send_multipart(bus.pack_notice("zeroed", text=_zero(setup.tool)))
+                    in_run, silent = not _zero(setup.tool, publisher), SILENT_LOOKS - AGAIN_LOOKS
     finally:
         context.destroy(linger=200)
 
 
-def _zero(tool: Tool) -> str:
-    """Reset the device; says what came of it."""
+def _zero(tool: Tool, publisher: zmq.Socket) -> bool:
+    """Reset the device, and tell what came of it; returns whether the motor is at zero."""
     begin_s = time.monotonic()
     try:
         reset_device(tool)
     except ToolError as error:
-        return str(error)
+        publisher.send_multipart(bus.pack_notice("not_zeroed", text=str(error)))
+        return False
     took_ms = (time.monotonic() - begin_s) * 1e3
     silent_ms = SILENT_LOOKS * LOOKS_EVERY_MS
-    return f"The acquisition was silent for {silent_ms} ms: the motor is at zero by a reset that took {took_ms:.0f} ms"
+    text = f"The acquisition was silent for {silent_ms} ms: the motor is at zero by a reset that took {took_ms:.0f} ms"
+    publisher.send_multipart(bus.pack_notice("zeroed", text=text))
+    return True
