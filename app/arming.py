@@ -46,6 +46,7 @@ class Arming:
         """The acquisition worker is gone: if the tool was armed, the next worker begins with that fault."""
         if self.safety is Safety.FAULTED:
             why = self.why
+            self._latch()  # its acknowledgement may have gone down with the worker
         elif self.safety not in WATCHED:
             self.safety, why = Safety.DISARMED, ""
         else:
@@ -61,6 +62,8 @@ class Arming:
             RefusedError: it cannot be; the text says why and what to do.
             ServiceError: the acquisition does not answer.
         """
+        if not self._supervisor.is_guarded:
+            raise RefusedError("The guard, who zeroes the motor of a hung tool, does not run: see the alarms.")
         await self._commander.send(bus.Arm())
         try:
             async with asyncio.timeout(TEST_S):

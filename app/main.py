@@ -64,6 +64,8 @@ ROUTERS = tuple(
     for each in (runs, control, session, history, audit, alarms, catalogue, system, studies, recordings, live)
 )
 LONGEST_WORD_BYTES = 65_536  # of a viewer
+GRACE_S = 0.3
+"""At the end, for answers that are under way; a download that takes longer is cut."""
 
 
 def create_app(plan: ServicePlan) -> FastAPI:
@@ -182,10 +184,22 @@ def serve(app: FastAPI, listener: socket.socket, server: Server) -> None:
         server_header=False,
         log_level="warning",
         access_log=False,
-        timeout_graceful_shutdown=2,
+        timeout_graceful_shutdown=GRACE_S,
     )
     logging.getLogger("uvicorn.error").addFilter(_is_news)
-    uvicorn.Server(config).run(sockets=[listener])
+    _Server(config, app).run(sockets=[listener])
+
+
+class _Server(uvicorn.Server):
+    """Halts the tool before it waits for anybody's connection to end."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        super().__init__(config)
+        self._app = app
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await self._app.state.station.halt()
+        await super().shutdown(sockets)
 
 
 def _is_news(record: logging.LogRecord) -> bool:

@@ -50,7 +50,7 @@ from app.wire import (
     RunState,
     State,
 )
-from config.errors import GraspwatchError, ServiceError
+from config.errors import GraspwatchError, RefusedError, ServiceError
 from config.load import holdable
 from config.schema import Protocol, ToolKind
 from estimator.worker import unpack_estimates
@@ -72,7 +72,7 @@ class Station:
         self.index = Index(store, plan.data / BEHIND_MARKER, self._on_index)
         self.journal = Journal(plan.data, self._on_journal, self._keep)
         self.alarms = AlarmBook(self._tell, self.journal)
-        self.supervisor = Supervisor(plan, self._on_death)
+        self.supervisor = Supervisor(plan, self._on_death, self._on_motor, self.watch_over)
         self.watchdog = Watchdog(self.supervisor, self.alarms, self.tell_event)
         self.runs = RunBook()
         self.control = Control(plan.settings.people.control_expires_s)
@@ -98,6 +98,9 @@ class Station:
         self._free_bytes = free_bytes(plan.data)
         self._last_tick = -1
         self._fault_texts: dict[str, str] = {}
+        self._died_ns = 0  # the last acquisition worker
+        self._ending = False
+        self._stops = 0
         self.estimator_ready = asyncio.Event()
 
     # --- life --------------------------------------------------------------------------------------------------------
@@ -148,12 +151,17 @@ class Station:
         await self.estimator_ready.wait()
         self.supervisor.start_acquisition()
 
+    async def halt(self) -> None:
+        """Motor to zero before anything else, and nobody starts anything any more."""
+        self._ending = True
+        if self.runs.current:
+            with contextlib.suppress(ServiceError):  # a worker that does not answer is ended with the others
+                await self.stop_run("the service was ended")
+
     async def stop(self) -> None:
         """Motor to zero, workers ended."""
         try:
-            if self.runs.current:
-                with contextlib.suppress(ServiceError):  # a worker that does not answer is ended below
-                    await self.stop_run("the service was ended")
+            await self.halt()
         finally:
             for task in self._tasks:
                 task.cancel()
@@ -168,27 +176,44 @@ class Station:
         """Start a protocol; a tool that is not armed is armed first, unless the settings forbid it.
 
         Raises:
-            RefusedError: a fault is latched, the tool cannot be armed, or the acquisition refuses.
+            RefusedError: a fault is latched, the tool cannot be armed, another run began, or the acquisition refuses.
             ServiceError: the acquisition does not answer.
         """
         self.arming.check_fault()
+        stops = self._stops
         if self.arming.safety is not Safety.ARMED and self.plan.settings.safety.arm_with_start:
             await self.arming.arm(by)
+        self._check_free()
         prefix = DEMONSTRATION if self.demo else ""
         run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
         self.recorder.brief(Brief(run.id, protocol.model_dump_json(), cycles, tissue, by))
         deadline_ns = time.monotonic_ns() + int(ANSWER_S * 1e9)
         try:
             await self._commander.send(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue, deadline_ns))
-        except GraspwatchError:
+        except GraspwatchError as error:
             self.runs.forget(run.id)
+            if isinstance(error, ServiceError):  # it may yet obey
+                with contextlib.suppress(ServiceError):
+                    await self._commander.send(bus.Stop("nobody waits for this run any more"))
             raise
         self._keep(run)
         self.simulated_tissue = tissue or self.simulated_tissue
         held = f", {holdable(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
         self.tell_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by, run)
+        if self._stops != stops:  # the worker may have heard of that before it heard of the start
+            await self.stop_run("it was stopped while it began")
         self.tell_state()
-        return run
+        return self.runs.get(run.id) or run
+
+    def _check_free(self) -> None:
+        """
+        Raises:
+            RefusedError: the service ends, or somebody else was faster.
+        """
+        if self._ending:
+            raise RefusedError("The service is being ended: start nothing any more.")
+        if self.runs.current:
+            raise RefusedError(f"Run {self.runs.current.id} is under way. Stop it first.")
 
     async def stop_run(self, why: str, by: str | None = None) -> bool:
         """Motor to zero at once; returns whether a run was stopped. Never refuses.
@@ -196,14 +221,23 @@ class Station:
         Raises:
             ServiceError: the acquisition does not answer; its motor is zeroed by the supervisor when it has died.
         """
+        effect = await self.zero_motor(why)
+        self.tell_stopped(why, by)
+        return effect
+
+    async def zero_motor(self, why: str) -> bool:
+        """As `stop_run`, for who has to find out first on whose behalf he can tell it."""
         if self.supervisor.workers["acquisition"].process is None:
             return False  # there is no motor, or nothing that could move it yet
+        self._stops += 1
         effect = await self._commander.send(bus.Stop(why))
         current = self.runs.current
         if effect and current:
             self._end_run(current.id, RunState.STOPPED, why)
-        self.tell_event("Stopped: the motor is at zero" + (f" ({why})" if why else ""), JournalKind.RUN, by)
         return effect
+
+    def tell_stopped(self, why: str, by: str | None) -> None:
+        self.tell_event(f"Stopped: the motor is at zero ({why})", JournalKind.RUN, by)
 
     # --- what the workers say ----------------------------------------------------------------------------------------
 
@@ -220,8 +254,8 @@ class Station:
             self._on_notice(bus.unpack_notice(parts))
             return
         block = bus.unpack_samples(parts)
-        if self.supervisor.workers["acquisition"].condition is Condition.STARTING:
-            self.supervisor.runs("acquisition")
+        is_alive = block.t_mono_ns > self._died_ns
+        if is_alive and self.supervisor.runs("acquisition"):
             self.alarms.end("motor")  # who opens the board writes zero first
             self.tell_state()
         if self._samples.is_out_of_turn(block):
@@ -230,7 +264,7 @@ class Station:
             self._joiner.begin_anew()
             self._forget_grasp()
             self.runs.ticks_begin_anew()
-        if self.arming.follow(block):
+        if is_alive and self.arming.follow(block):
             self.tell_state()
         missing = self._samples.take(block.sequence, block.t_mono_ns)
         self._last_tick = int(block.samples["tick"][-1])
@@ -320,9 +354,11 @@ class Station:
             case "compiling":
                 self.tell_event("Preparing the filters (compiled on the first start, which takes up to a minute)")
             case "estimating":
+                self._fault_texts.pop("estimator", None)
                 self.supervisor.runs("estimator")
                 self.estimator_ready.set()
             case "acquiring":
+                self._fault_texts.pop("acquisition", None)
                 how = "" if notice["realtime"] else ", without real-time priority"
                 self.tell_event(f"The tool is acquiring{how}")
             case "fault":
@@ -346,8 +382,19 @@ class Station:
         self.watchdog.heard("guard")
         self.supervisor.runs("guard")
         notice = bus.unpack_notice(parts)
-        if notice["kind"] == "zeroed":
-            self.alarms.raise_technical("samples", Priority.HIGH, notice["text"])
+        match notice["kind"]:
+            case "zeroed":
+                self._on_motor(None)
+                self.alarms.raise_technical("samples", Priority.HIGH, notice["text"])
+            case "not_zeroed":
+                self._on_motor(notice["text"])
+
+    def _on_motor(self, fault: str | None) -> None:
+        """Whether the motor that nobody drives any more could be brought to zero."""
+        if fault:
+            self.alarms.raise_technical("motor", Priority.HIGH, fault)
+        else:
+            self.alarms.end("motor")
 
     def _keep_grasp(self, grasp: Grasp) -> None:
         self.metrics.grasps.labels(grasp.label).inc()
@@ -366,10 +413,6 @@ class Station:
         self.tell_state()
 
     def _on_death(self, worker: str, text: str) -> None:
-        """A worker died, or (`motor`) the motor of a dead one could not be brought to zero."""
-        if worker == "motor":
-            self.alarms.raise_technical("motor", Priority.HIGH, text)
-            return
         self.metrics.worker_deaths.labels(worker).inc()
         if worker == "recorder":
             self.recorder.died(text)
@@ -384,6 +427,7 @@ class Station:
         self.tell_event(text)
         current = self.runs.current
         if worker == "acquisition":
+            self._died_ns = time.monotonic_ns()
             self.arming.died("the acquisition worker died")
             if current:
                 self._end_run(current.id, RunState.FAILED, "the acquisition worker died")
@@ -423,11 +467,11 @@ class Station:
     def phase(self) -> Phase:
         if self.plan.opened:
             return Phase.REPLAY
-        workers = self.supervisor.workers
-        conditions = {name: workers[name].condition for name in ("acquisition", "estimator")}
-        if self.internal_error or Condition.FAULTED in conditions.values():
+        needed = {"acquisition", "estimator"} if self.runs.current else {"acquisition", "estimator", "guard"}
+        conditions = {each.condition for name, each in self.supervisor.workers.items() if name in needed}
+        if self.internal_error or Condition.FAULTED in conditions:
             return Phase.FAULTED
-        if set(conditions.values()) != {Condition.RUNNING} or not self.watchdog.sampling:
+        if conditions != {Condition.RUNNING} or not self.watchdog.sampling:
             return Phase.STARTING
         return Phase.RUNNING if self.runs.current else Phase.IDLE
 

@@ -28,6 +28,8 @@ RESTARTS_A_MINUTE = 3
 ENDING_S = 1.5
 RESET_S = 3.0
 RESET_AGAIN_S = 0.05
+ZERO_FIRST_S = 0.1
+"""So long a reset may take before the death of the worker is told; usual are 10 ms."""
 
 
 class Condition(StrEnum):
@@ -52,10 +54,15 @@ class Worker:
 class Supervisor:
     """Owns the worker processes of one service."""
 
-    def __init__(self, plan: ServicePlan, on_death: Callable[[str, str], None]) -> None:
-        """`on_death(worker, text)` is called in the event loop when a worker has died unasked."""
+    def __init__(
+        self, plan: ServicePlan, on_death: Callable[[str, str], None], on_motor: Callable[[str | None], None],
+        watch_over: Callable[[asyncio.Task[None]], None],
+    ) -> None:  # fmt: skip
+        """`on_death(worker, text)` is called in the event loop when a worker has died unasked, `on_motor(text)` when
+        the motor of a dead one could not be brought to zero, and `on_motor(None)` when it is there. `watch_over` takes
+        each task that must not end unnoticed."""
         self._plan = plan
-        self._on_death = on_death
+        self._on_death, self._on_motor, self._watch_over = on_death, on_motor, watch_over
         self._folder = tempfile.TemporaryDirectory(prefix="graspwatch-")
         self.endpoints = Endpoints.in_folder(Path(self._folder.name))
         self._context = multiprocessing.get_context("spawn")
@@ -89,9 +96,18 @@ class Supervisor:
         if "guard" in self.workers:
             self._start(self.workers["guard"])
 
-    def runs(self, name: str) -> None:
-        """A worker has shown that it does its work."""
-        self.workers[name].condition, self.workers[name].has_run = Condition.RUNNING, True
+    @property
+    def is_guarded(self) -> bool:
+        """Whether a motor that outlives its worker has its guard."""
+        return "guard" not in self.workers or self.workers["guard"].condition is Condition.RUNNING
+
+    def runs(self, name: str) -> bool:
+        """A worker has shown that it does its work; returns whether that is news. A dead one's last words are none."""
+        worker = self.workers[name]
+        if worker.condition is not Condition.STARTING or not (worker.process and worker.process.is_alive()):
+            return False
+        worker.condition, worker.has_run = Condition.RUNNING, True
+        return True
 
     def start_recorder(self) -> None:
         self._start(self.workers["recorder"])
@@ -111,19 +127,24 @@ class Supervisor:
         replacing = asyncio.create_task(self._replace(worker, process))
         self._replacing.add(replacing)
         replacing.add_done_callback(self._replacing.discard)
+        self._watch_over(replacing)
 
     async def _replace(self, worker: Worker, process: BaseProcess) -> None:
-        """Tell the death of a worker, bring its motor to zero, and start another one unless that is hopeless."""
+        """Bring the motor of a dead worker to zero, tell its death, and start another one unless that is hopeless."""
         worker.deaths.append(time.monotonic())
         often = len(worker.deaths) > RESTARTS_A_MINUTE and worker.deaths[-1] - worker.deaths[0] < 60.0
         final = often or (process.exitcode == ToolError.exit_code and not worker.has_run)
         worker.condition = Condition.FAULTED if final else Condition.STARTING
+        zeroing = None
+        if worker.name == "acquisition" and process.exitcode != 0:
+            zeroing = asyncio.create_task(self._zero_motor())
+            await asyncio.wait({zeroing}, timeout=ZERO_FIRST_S)
         if not self._ending:
             how = f"signal {-process.exitcode}" if process.exitcode < 0 else f"exit code {process.exitcode}"
             what = "it stays down: mend the cause and start the service again" if final else "it is being restarted"
             self._on_death(worker.name, f"The {worker.name} worker died ({how}); {what}.")
-        if worker.name == "acquisition" and process.exitcode != 0:
-            await self._zero_motor()
+        if zeroing:
+            await zeroing
         if not final and not self._ending:
             self._start(worker)
 
@@ -136,14 +157,15 @@ class Supervisor:
                 while not await self._reset():
                     await asyncio.sleep(RESET_AGAIN_S)
         except TimeoutError:
-            self._on_death("motor", "The board does not answer to a reset: switch off the motor's amplifier NOW.")
+            self._on_motor("The board does not answer to a reset: switch off the motor's amplifier NOW.")
 
     async def _reset(self) -> bool:
         try:
             await asyncio.to_thread(reset_device, self._plan.tool)
         except ToolError as error:
-            self._on_death("motor", str(error))
+            self._on_motor(str(error))
             return False
+        self._on_motor(None)
         return True
 
     def kill(self, name: str) -> None:

@@ -11,7 +11,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
-from app.people.guard import Guard
+from app.people.guard import STOP, Guard
 from app.people.roles import Who
 from app.problems import ProblemError
 
@@ -38,22 +38,26 @@ class Gate:
             who = self._guard.admit(HTTPConnection(scope), path in self._open or not path.startswith(GUARDED))
             scope.setdefault("state", {})["who"] = who
             if scope["type"] == "http":
-                await self._app(scope, self._bounded(Headers(scope=scope), receive), send)
+                if not STOP.fullmatch(path):  # which is obeyed before its body is read
+                    self._check_length(Headers(scope=scope))
+                await self._app(scope, self._bounded(receive), send)
                 return
         except ProblemError as error:
             await _refuse(error, scope, receive, send)
             return
         await self._attend(who, scope, receive, send)
 
-    def _bounded(self, headers: Headers, receive: Receive) -> Receive:
-        """`receive` for a body of no more than is allowed, whatever its header says.
-
+    def _check_length(self, headers: Headers) -> None:
+        """
         Raises:
-            ProblemError: the header says more.
+            ProblemError: the header tells a body of more than is allowed.
         """
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > self._most_bytes:
             raise ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, TOO_LARGE)
+
+    def _bounded(self, receive: Receive) -> Receive:
+        """`receive` for a body of no more than is allowed, whatever its header says."""
         received, whole = 0, False
 
         async def bounded() -> Message:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Request, Response
 from pydantic import ValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import Safety
@@ -161,9 +163,9 @@ async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
 
 
 async def _who_stops(request: Request) -> str | None:
-    """Whom the body names. A stop is obeyed whatever stands in it, and does not wait for one that does not come."""
+    """Whom the body names, if it names anybody and comes at all."""
     said = None
-    with contextlib.suppress(TimeoutError, ValidationError):
+    with contextlib.suppress(TimeoutError, ValidationError, HTTPException, ClientDisconnect):
         async with asyncio.timeout(BODY_S):
             said = StopRequest.model_validate_json(await request.body() or "{}").by
     return signed(request, said)
@@ -174,12 +176,10 @@ async def _who_stops(request: Request) -> str | None:
 )
 async def stop_run(request: Request, run_id: str) -> StopAnswer:
     """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
-    by = await _who_stops(request)
-    run = await get_run(request, run_id)
     current = station_of(request).runs.current
-    if current is None or current.id != run.id:
-        return StopAnswer(stopped=False, run=run)
-    return await _stop(station_of(request), by)
+    if current is None or current.id != run_id:
+        return StopAnswer(stopped=False, run=await get_run(request, run_id))
+    return await _stop(request)
 
 
 @router.post(
@@ -190,17 +190,20 @@ async def stop_run(request: Request, run_id: str) -> StopAnswer:
 )
 async def stop(request: Request) -> StopAnswer:
     """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
-    return await _stop(station_of(request), await _who_stops(request))
+    return await _stop(request)
 
 
-async def _stop(station: Station, by: str | None) -> StopAnswer:
+async def _stop(request: Request) -> StopAnswer:
+    """The motor first; then whatever stands in the request is read."""
+    station, why = station_of(request), "asked to stop"
     station.demo = None
     before = station.runs.current
     try:
-        stopped = await station.stop_run("asked to stop", by)
+        stopped = await station.zero_motor(why)
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
+    station.tell_stopped(why, await _who_stops(request))
     run = station.runs.get(before.id) if before else None
     station.tell_state()
     return StopAnswer(stopped=stopped, run=run)

@@ -3,8 +3,11 @@
 import os
 import re
 import signal
+import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
 
+import httpx
 import numpy as np
 import pytest
 from service import Listener, Service, until
@@ -296,8 +299,38 @@ def test_a_tool_is_armed_by_hand_where_the_settings_ask_for_it(tmp_path):
 
 
 def test_a_stop_is_obeyed_whatever_stands_in_it(service):
-    for content in (b"{", b'{"by": 7}', b"\xff", b'{"unknown": true}'):
+    for content in (b"{", b'{"by": 7}', b"\xff", b'{"unknown": true}', b'{"by": "' + 2**20 * b"x" + b'"}'):
         run = service.run(protocol="trapezoid_025hz", cycles=5, tissue="bladder")
         answer = service.http.post("/api/stop", content=content, headers={"Content-Type": "application/json"})
         assert (answer.status_code, answer.json()["stopped"]) == (200, True)
         assert service.http.get(f"/api/runs/{run['id']}").json()["state"] == "stopped"
+
+
+def test_a_stop_is_obeyed_though_whoever_sent_it_is_gone(service):
+    run = service.run(protocol="trapezoid_025hz", cycles=5, tissue="bladder")
+    with socket.create_connection(("127.0.0.1", service.port)) as line:
+        line.sendall(b"POST /api/stop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n{")
+        time.sleep(0.02)
+    assert service.finished(run["id"])["state"] == "stopped"
+
+
+@pytest.mark.parametrize("attempt", range(3))
+def test_of_starts_at_the_same_moment_one_is_obeyed_and_its_run_is_known_to_its_end(service, attempt):
+    service.http.post("/api/disarm")
+    wanted = {"protocol": "trapezoid_4hz", "cycles": 1, "tissue": "bladder"}
+    with ThreadPoolExecutor(4) as crowd:
+        answers = list(crowd.map(lambda _: httpx.post(f"{service.url}/api/runs", json=wanted), range(4)))
+    [obeyed] = [answer.json() for answer in answers if answer.status_code == 201]
+    assert [answer.status_code for answer in answers].count(409) == 3
+    assert service.finished(obeyed["id"])["state"] == "finished"
+
+
+def test_a_stop_during_the_self_test_of_a_start_lets_nothing_begin(service):
+    service.http.post("/api/disarm")
+    with Listener(service) as listener, ThreadPoolExecutor(1) as other:
+        wanted = {"protocol": "trapezoid_025hz", "cycles": 5, "tissue": "bladder"}
+        asked = other.submit(httpx.post, f"{service.url}/api/runs", json=wanted)
+        listener.listen(lambda: "testing" in [state["safety"] for state in listener.of("state")])
+        assert service.http.post("/api/stop").status_code == 200
+        assert asked.result().status_code == 409
+    assert service.http.post("/api/stop").json()["stopped"] is False
