@@ -6,6 +6,7 @@ PUB/SUB loses messages silently once a frozen subscriber is full; so every block
 
 import json
 import secrets
+import time
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -167,13 +168,12 @@ class Acknowledge:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Begin a run of a protocol (its JSON); `tissue` for the simulated tool. Obeyed only before its deadline."""
+    """Begin a run of a protocol (its JSON); `tissue` for the simulated tool."""
 
     run_id: str
     protocol: str
     cycles: int
     tissue: str | None
-    deadline_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,13 +187,17 @@ Command = Arm | Disarm | Acknowledge | Start | Stop
 _COMMANDS = {kind.__name__.lower(): kind for kind in (Arm, Disarm, Acknowledge, Start, Stop)}
 
 
-def pack_command(command: Command) -> bytes:
-    return json.dumps({"command": type(command).__name__.lower(), **asdict(command)}).encode()
+def pack_command(command: Command, until_ns: int) -> bytes:
+    """Who sends it waits until `until_ns` of the monotonic clock."""
+    content = {"command": type(command).__name__.lower(), "until_ns": until_ns, **asdict(command)}
+    return json.dumps(content).encode()
 
 
-def unpack_command(message: bytes) -> Command:
+def unpack_command(message: bytes) -> Command | None:
+    """None: nobody waits for it any more. A stop is never too late."""
     content = json.loads(message)
-    return _COMMANDS[content.pop("command")](**content)
+    kind, until_ns = _COMMANDS[content.pop("command")], content.pop("until_ns")
+    return None if kind is not Stop and time.monotonic_ns() > until_ns else kind(**content)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """What every worker process does alike: die with its parent, end in order on a signal, tell its priority."""
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -54,7 +55,8 @@ def ask_for_realtime(priority: int) -> bool:
     """SCHED_FIFO for every thread, those of ZeroMQ included, if the system grants it; says whether it did."""
     try:
         for thread in os.listdir("/proc/self/task"):
-            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         return False
     return True

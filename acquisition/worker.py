@@ -1,6 +1,5 @@
 """The acquisition worker: a process that owns the tool, conditions its samples and commands its motor."""
 
-import time
 from dataclasses import asdict, dataclass
 
 import zmq
@@ -15,6 +14,7 @@ from config.errors import GraspwatchError, RefusedError
 from config.schema import Conditioning, Limiter, Protocol, TissueLibrary, Tool
 
 REALTIME_PRIORITY = 80
+MOST_COMMANDS = 20  # after one block: a stop does not queue behind what others ask for
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,9 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
             if limits.poll(0):
                 limit = bus.unpack_limit(limits.recv())
                 acquisition.allow(limit.threshold_n, limit.tick)
-            if commands.poll(0):
+            for _ in range(MOST_COMMANDS):
+                if not commands.poll(0):
+                    break
                 command = bus.unpack_command(commands.recv())
                 answer = _obey(command, acquisition)
                 if isinstance(command, bus.Start) and command.tissue and grasper and not answer.refused:
@@ -85,12 +87,12 @@ def _tell_news(acquisition: Acquisition, publisher: zmq.Socket) -> None:
         publisher.send_multipart(bus.pack_notice("run_ended", **asdict(ended)))
 
 
-def _obey(command: bus.Command, acquisition: Acquisition) -> bus.Answer:
+def _obey(command: bus.Command | None, acquisition: Acquisition) -> bus.Answer:
     try:
         match command:
+            case None:
+                return bus.Answer(refused="The request came too late and was not obeyed. Try again.")
             case bus.Start():
-                if time.monotonic_ns() > command.deadline_ns:
-                    return bus.Answer(refused="The request to start came too late and was not obeyed. Try again.")
                 protocol = Protocol.model_validate_json(command.protocol)
                 acquisition.start(command.run_id, protocol, command.cycles)
             case bus.Stop():

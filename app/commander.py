@@ -1,6 +1,7 @@
 """Commands to the acquisition worker, and its answers."""
 
 import asyncio
+import time
 
 import zmq
 import zmq.asyncio
@@ -9,13 +10,16 @@ from acquisition import bus
 from config.errors import RefusedError, ServiceError
 
 ANSWER_S = 0.5
+LATE_S = 10.0
+"""So long a stop stays in the queue of a worker that is held up: it is obeyed when nobody waits for it any more."""
 
 
 class Commander:
-    """Passes commands on, one at a time."""
+    """Passes commands on, each with a socket of its own, so that none waits for another's answer."""
 
     def __init__(self, context: zmq.asyncio.Context, address: str) -> None:
         self._context, self._address = context, address
+        self._late: set[asyncio.Task[bus.Answer]] = set()
 
     async def send(self, command: bus.Command) -> bool:
         """Returns whether the command changed anything.
@@ -24,20 +28,36 @@ class Commander:
             RefusedError: it is refused; the text says why.
             ServiceError: nobody answers.
         """
-        answer = await self._ask(command)
+        asked = asyncio.create_task(self._ask(command))
+        self._late.add(asked)
+        asked.add_done_callback(self._forget)
+        if not (await asyncio.wait({asked}, timeout=ANSWER_S))[0]:
+            if not isinstance(command, bus.Stop):
+                asked.cancel()
+            raise ServiceError("The acquisition worker does not answer. See the alarms, then try again.")
+        answer = asked.result()
         if answer.refused:
             raise RefusedError(answer.refused)
         return answer.effect
+
+    def _forget(self, asked: asyncio.Task[bus.Answer]) -> None:
+        self._late.discard(asked)
+        if not asked.cancelled():
+            asked.exception()  # of a stop that was late for good, nobody wants to know any more
 
     async def _ask(self, command: bus.Command) -> bus.Answer:
         socket = self._context.socket(zmq.REQ)
         socket.setsockopt(zmq.LINGER, 0)
         socket.connect(self._address)
         try:
-            await socket.send(bus.pack_command(command))
-            return bus.unpack_answer(await asyncio.wait_for(socket.recv(), ANSWER_S))
-        except TimeoutError:
-            text = "The acquisition worker does not answer. See the alarms, then try again."
-            raise ServiceError(text) from None
+            async with asyncio.timeout(LATE_S):
+                await socket.send(bus.pack_command(command, time.monotonic_ns() + int(ANSWER_S * 1e9)))
+                return bus.unpack_answer(await socket.recv())
         finally:
             socket.close()
+
+    async def aclose(self) -> None:
+        """Give up what nobody has answered yet."""
+        for asked in self._late:
+            asked.cancel()
+        await asyncio.gather(*self._late, return_exceptions=True)

@@ -19,7 +19,7 @@ from acquisition.safety import Safety
 from app.alarms import AlarmBook
 from app.arming import Arming
 from app.clock import now_ms, wall_ms
-from app.commander import ANSWER_S, Commander
+from app.commander import Commander
 from app.describe import free_bytes, hello
 from app.frames import FrameBuffer
 from app.joiner import Joiner
@@ -168,6 +168,7 @@ class Station:
             await asyncio.gather(*self._tasks, return_exceptions=True)
             await self.supervisor.stop()
             await self.recorder.aclose()
+            await self._commander.aclose()
             self._context.destroy(linger=0)
 
     # --- commands ----------------------------------------------------------------------------------------------------
@@ -187,9 +188,8 @@ class Station:
         prefix = DEMONSTRATION if self.demo else ""
         run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
         self.recorder.brief(Brief(run.id, protocol.model_dump_json(), cycles, tissue, by))
-        deadline_ns = time.monotonic_ns() + int(ANSWER_S * 1e9)
         try:
-            await self._commander.send(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue, deadline_ns))
+            await self._commander.send(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue))
         except GraspwatchError as error:
             self.runs.forget(run.id)
             if isinstance(error, ServiceError):  # it may yet obey

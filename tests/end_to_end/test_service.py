@@ -334,3 +334,24 @@ def test_a_stop_during_the_self_test_of_a_start_lets_nothing_begin(service):
         assert service.http.post("/api/stop").status_code == 200
         assert asked.result().status_code == 409
     assert service.http.post("/api/stop").json()["stopped"] is False
+
+
+def test_what_a_held_up_worker_hears_too_late_is_not_obeyed_except_a_stop(service):
+    service.http.post("/api/disarm")
+    acquisition = service.worker("acquisition")
+    with Listener(service) as listener:
+        os.kill(acquisition, signal.SIGSTOP)
+        try:
+            assert service.http.post("/api/arm").status_code >= 400
+            begin = len(listener.messages)
+        finally:
+            os.kill(acquisition, signal.SIGCONT)
+        listener.listen(lambda: len([each for each in listener.messages[begin:] if each["type"] == "state"]) > 3)
+        assert {state["safety"] for state in listener.of("state")} == {"disarmed"}
+        run = service.run(protocol="trapezoid_025hz", cycles=5, tissue="bladder")
+        os.kill(acquisition, signal.SIGSTOP)
+        try:
+            assert service.http.post("/api/stop").status_code == 503
+        finally:
+            os.kill(acquisition, signal.SIGCONT)
+    assert service.finished(run["id"])["state"] == "stopped"
