@@ -20,7 +20,7 @@ class Flag(IntFlag):
     ENCODER_SLIPS = 64  # the encoder lags behind the cable's stretch or walks between grasps
     FILTERED_INVALID = 128  # as INVALID, of the filtered signals alone
     HELD_BACK = 256  # the limiter keeps the command lower than the protocol asks for
-    LET_GO = 512  # the force passed the injury threshold: no command until the protocol's next grasp
+    LET_GO = 512  # the force passed the limit: no command until the protocol's next grasp
 
 
 SAMPLE = np.dtype(

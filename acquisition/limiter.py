@@ -21,6 +21,7 @@ FOLLOW_S = 0.1  # that the force gets to follow a threshold that falls, five tim
 # one that rises has to hold before it is followed: answers that come too late now and then do not shake the motor
 ROUNDING = 1e-9
 AIM_SHARE = 0.93  # of the limit: noise, friction of the cable and a gage that reads 3 % short stay below it
+PASSED_SHARE = 1.05  # of the limit: the grasp is let go
 LEAST_HOLD_V = 0.05  # a grasp that is held back goes on: at 0 V the jaws would open
 
 
@@ -79,8 +80,8 @@ class HoldBack:
     come to: commands still on their way are counted, and a map that is wrong is soon put right. Where the
     drive by itself is beyond the limit already, the command drops below what holds, until it is not.
 
-    Where the force passes the threshold itself, or stays over the limit all the same, the grasp is let go: the command
-    stays at zero until the protocol asks for zero, too.
+    Where the force passes the limit by more than noise does, or stays over it, all the same, the grasp is let go: the
+    command stays at zero until the protocol asks for zero, too.
     """
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: Limiter) -> None:
@@ -110,7 +111,7 @@ class HoldBack:
         """The command to write after a block where the protocol asks for `wanted_v`, V, and the flags that go with it.
 
         `samples` (dtype SAMPLE) are those since the last call, under the command that it returned. Flags: HELD_BACK
-        where the command is lower than wanted, LET_GO where it is zero because the force was over the threshold.
+        where the command is lower than wanted, LET_GO where it is zero because the force was over the limit.
         """
         last = samples[-1]
         threshold_n = self._threshold.at(int(last["tick"]), int(last["grasp_start_tick"]))
@@ -145,15 +146,18 @@ class HoldBack:
         return max(float(self._map.command(max(by_map_n, 0.0))), LEAST_HOLD_V)
 
     def _let_go_if_over(self, force_n: float) -> None:
-        """Where the force is over the threshold, or does not come under the limit."""
+        """Where the force passes the limit all the same, or does not come under it."""
         most_n = max(self._followed)
-        self._over_blocks = self._over_blocks + 1 if force_n > self._margin * most_n else 0
+        limit_n = self._margin * most_n
+        self._over_blocks = self._over_blocks + 1 if force_n > limit_n else 0
         if self.why_let_go:
             return
         if force_n > most_n:
             self.why_let_go = f"the force of {force_n:.2f} N passed the injury threshold of {most_n:.2f} N"
+        elif force_n > PASSED_SHARE * limit_n:
+            self.why_let_go = f"the force of {force_n:.2f} N passed the limit of {limit_n:.2f} N"
         elif self._over_blocks * self._block_s > FOLLOW_S:
-            self.why_let_go = f"the force stayed over the limit of {self._margin * most_n:.2f} N, at {force_n:.2f} N"
+            self.why_let_go = f"the force stayed over the limit of {limit_n:.2f} N, at {force_n:.2f} N"
         if self.why_let_go:
             self._begins_with = max(self._strength, 1.0)
 

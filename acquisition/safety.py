@@ -16,7 +16,7 @@ class Safety(StrEnum):
     HOLDING_BACK = "holding back"
     """The limiter keeps the command lower than the protocol asks for."""
     LET_GO = "let go"
-    """The force passed the injury threshold: no command until the protocol's next grasp."""
+    """The force passed the limit: no command until the protocol's next grasp."""
     STOPPED = "stopped"
     FAULTED = "faulted"
 

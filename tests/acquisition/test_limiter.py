@@ -171,6 +171,25 @@ def test_a_grasp_that_was_let_go_stays_so_until_the_protocol_asks_for_zero() -> 
     assert not flags & Flag.LET_GO
 
 
+@pytest.mark.parametrize(("share", "is_let_go"), [(1.04, False), (1.06, True)])
+def test_a_force_that_passes_the_limit_by_more_than_noise_is_let_go_at_once(share: float, is_let_go: bool) -> None:
+    margin = load_settings().limiter.margin
+    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    hold_back.judge(in_a_grasp(0, [1.5] * 5, 0), 2.0)
+    _, flags = hold_back.judge(in_a_grasp(1, [share * margin * LOWEST_N] * 5, 0), 2.0)
+    assert bool(flags & Flag.LET_GO) is is_let_go
+
+
+def test_a_limit_that_falls_below_the_force_is_followed_before_the_grasp_is_let_go() -> None:
+    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    let_go_at = 0
+    for number in range(60):
+        hold_back.allow(HIGHEST_N if number < 30 else LOWEST_N, 5 * number)
+        _, flags = hold_back.judge(in_a_grasp(number, [0.9 * LOWEST_N] * 5, 0), 2.0)
+        let_go_at = let_go_at or (number if flags & Flag.LET_GO else 0)
+    assert 50 <= let_go_at <= 52  # 100 ms
+
+
 def test_a_force_that_is_not_known_lets_nothing_go_and_leaves_the_limit() -> None:
     hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
     for number in range(40):

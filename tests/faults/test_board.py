@@ -6,13 +6,14 @@ from nidaqmx.error_codes import DAQmxErrors
 from simulation import WatchedGrasper
 
 from acquisition.control import Acquisition
-from acquisition.limiter import HoldBack
+from acquisition.limiter import PASSED_SHARE, HoldBack
 from acquisition.nidaq import NidaqTool
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import in_process_options
 
 FLOOR_MS = 15.0
+LIMIT_N = SETTINGS.limiter.margin * LIBRARY.lowest_threshold_n
 
 
 @pytest.mark.parametrize("after", range(6))
@@ -66,7 +67,9 @@ def test_samples_that_come_late_are_none_that_the_motor_moves_on(reactions):
 
 
 @pytest.mark.parametrize(
-    ("ceiling_n", "over_n"), [(1.2, 1.2), (6.0, LIBRARY.lowest_threshold_n)], ids=["ceiling", "injury threshold"]
+    ("ceiling_n", "over_n"),
+    [(1.2, 1.2), (6.0, PASSED_SHARE * LIMIT_N), (6.0, LIBRARY.lowest_threshold_n)],
+    ids=["ceiling", "limit", "injury threshold"],
 )
 def test_a_force_that_is_too_large_is_let_go_within_15_ms(ceiling_n, over_n, request, reactions):
     """A tool eight times as strong as its map tells passes any limit before it is known to be."""
