@@ -34,8 +34,8 @@ bench: $(VENV)/.installed app/static/index.html ## measure; prints the table, wr
 
 safety: $(VENV)/.installed app/static/index.html ## inject all faults, write docs/safety.md from what was measured
 	@mkdir -p build && rm -f build/reactions.jsonl
-	$(BIN)/python -m pytest tests/faults --reactions build/reactions.jsonl
-	$(BIN)/python docs/safety.py build/reactions.jsonl
+	$(BIN)/python -m pytest tests/faults $$($(BIN)/python docs/safety.py) --reactions build/reactions.jsonl; failed=$$?; \
+		$(BIN)/python docs/safety.py build/reactions.jsonl && exit $$failed
 
 SOAK_MINUTES ?= 60
 soak: $(VENV)/.installed ## random faults for an hour (SOAK_MINUTES=10 for less); ends with an error at any violation

@@ -11,7 +11,7 @@ HERE = Path(__file__).parent
 INTRODUCTION = """# What can go wrong, what stops it, and how quickly
 
 Written by `make safety` from [hazards.toml](hazards.toml) and from what the tests measured on the machine that ran
-them; nothing in the tables is typed. A reaction lasts from the first bad sample, or the strike, until the motor command
+them; neither times nor outcomes are typed. A reaction lasts from the first bad sample, or the strike, until the motor command
 output of the simulated board is at zero for good; one named "alarm" until the alarm is on the wire. Sensors and errors
 of the board are tried on the board's own clock, without the time that the computer takes to compute, about 1 ms a
 block; all others in real time, the board in a process of its own over TCP. Graspwatch is a research instrument:
@@ -23,19 +23,33 @@ def hazards() -> list[dict[str, Any]]:
     return tomllib.loads((HERE / "hazards.toml").read_text(encoding="utf-8"))["hazard"]
 
 
-def page(reactions: list[dict[str, Any]]) -> str:
-    """The whole page for measured reactions, one object each as tests tell them."""
+def page(told: list[dict[str, Any]]) -> str:
+    """The whole page for what the tests told: measured reactions, and which cases passed."""
+    reactions = [each for each in told if "fault" in each]
+    outcomes: dict[str, list[bool]] = defaultdict(list)
+    for each in told:
+        if "passed" in each:
+            outcomes[each["test"]].append(each["passed"])
     parts = [INTRODUCTION]
     for number, hazard in enumerate(hazards(), 1):
         parts.append(f"## {number}. {hazard['hazard']}\n")
         parts.append(f"- **Causes**: {hazard['causes']}.\n- **What stops it**: {hazard['stops']}.")
         if hazard["hardware"]:
             parts.append(f"- **What only hardware can stop**: {hazard['hardware']}")
-        parts.append("- **Shown by**: " + "; ".join(f"`{test}`" for test in hazard["tests"]) + ".\n")
+        parts.append("- **Shown by**:")
+        parts += [f"  - `{test}`: {_outcome(outcomes[test])}" for test in hazard["tests"]]
+        parts.append("")
         own = [each for each in reactions if each["fault"].startswith(tuple(hazard["faults"]))]
         if own:
             parts.append(_table(own))
     return "\n".join(parts)
+
+
+def _outcome(passed: list[bool]) -> str:
+    if not passed:
+        return "**not run**"
+    failed = passed.count(False)
+    return f"**{failed} of {len(passed)} failed**" if failed else f"{len(passed)} passed"
 
 
 def _table(reactions: list[dict[str, Any]]) -> str:
@@ -49,7 +63,10 @@ def _table(reactions: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Arguments: the file that the tests have written."""
+    """Arguments: the file that the tests have written; none: print the tests that show something."""
+    if len(sys.argv) == 1:
+        print(*sorted({test for hazard in hazards() for test in hazard["tests"]}))
+        return
     lines = Path(sys.argv[1]).read_text(encoding="utf-8").splitlines()
     (HERE / "safety.md").write_text(page([json.loads(line) for line in lines]), encoding="utf-8")
 

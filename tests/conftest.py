@@ -2,7 +2,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait for each other
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import hypothesis
@@ -20,12 +20,24 @@ hypothesis.settings.load_profile("unhurried")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--reactions", type=Path, help="Append measured reaction times to this file, one JSON a line.")
+    parser.addoption("--reactions", type=Path, help="Append measured reaction times, and what passed, to this file, one JSON a line.")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if report.when == "call":
+        reactions_of(item).outcome(report.passed)
+    return report
+
+
+def reactions_of(item: pytest.Item) -> Reactions:
+    return Reactions(item.nodeid.partition("[")[0], item.config.getoption("--reactions"))
 
 
 @pytest.fixture
 def reactions(request: pytest.FixtureRequest) -> Reactions:
-    return Reactions(request.node.nodeid.partition("[")[0], request.config.getoption("--reactions"))
+    return reactions_of(request.node)
 
 
 @pytest.fixture(scope="session")
