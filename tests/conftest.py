@@ -20,7 +20,7 @@ hypothesis.settings.load_profile("unhurried")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--reactions", type=Path, help="Append measured reaction times, and what passed, to this file, one JSON a line.")
+    parser.addoption("--reactions", type=Path, help="Append to this file, one JSON a line: reaction times, outcomes.")
 
 
 @pytest.hookimpl(wrapper=True)

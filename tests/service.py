@@ -39,15 +39,19 @@ class Service:
     With `--tls-cert` the client trusts what `trust` does.
     """
 
-    def __init__(self, *arguments: str, data: Path | None = None, trust: ssl.SSLContext | None = None) -> None:
-        self._arguments = arguments or ("serve",)
+    def __init__(
+        self, *arguments: str, data: Path | None = None, trust: ssl.SSLContext | None = None,
+        within: tuple[str, ...] = (),
+    ) -> None:  # fmt: skip
+        """`within` is a command that runs the program, such as `unshare`."""
+        self._arguments, self._within = arguments or ("serve",), within
         self._trust = trust
         self._folder = tempfile.TemporaryDirectory(prefix="graspwatch-data-")
         self.data = data or Path(self._folder.name)
 
     def __enter__(self) -> Self:
         self.process = subprocess.Popen(
-            [PROGRAM, *self._arguments, "--port", "0", "--data", self.data],
+            [*self._within, PROGRAM, *self._arguments, "--port", "0", "--data", self.data],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "200"},
         )  # fmt: skip
         line = self.process.stdout.readline()
