@@ -58,3 +58,6 @@ export const count = (n: number, one: string, many = `${one}s`): string => `${n}
 function withoutMinusZero(value: number | null | undefined): number | null | undefined {
   return typeof value === "number" && value < 0 && value > -0.005 ? 0 : value;
 }
+
+/** Texts that may be sentences of their own. */
+export const inOneLine = (texts: string[]): string => texts.map((text) => text.replace(/\.$/, "")).join(" · ");

@@ -1,5 +1,5 @@
 import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
-import { count } from "../format";
+import { count, inOneLine } from "../format";
 import { arm, disarm, getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
 import type { Person } from "../shell/person";
@@ -77,7 +77,7 @@ export class ProtocolPanel {
     setText(byId("phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
     setData(byId("phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
     setText(this.armButton, this.isArmed(state) ? "Disarm" : "Arm");
-    this.armButton.disabled = state?.safety === "faulted";
+    this.armButton.disabled = this.start.disabled = state?.safety === "faulted";
     setText(byId("run-now"), this.runInWords());
     if (this.startedRun && state?.run === null && state.last_run?.id === this.startedRun) this.forget();
     if (hello && state) this.nameHeldTissue(state.simulated_tissue);
@@ -115,7 +115,7 @@ export class ProtocolPanel {
     this.say(armed ? "Disarming…" : "Testing the tool…", "pending");
     try {
       await (armed ? disarm : arm)(this.person.name);
-      this.say(armed ? "Disarmed: the motor cannot move." : "Armed: tare and self-test passed.", "done");
+      this.forget(); // the card's heading says where the tool stands
     } catch (error) {
       this.say(messageOf(error), "failed");
     }
@@ -156,7 +156,7 @@ export class ProtocolPanel {
   private runInWords(): string {
     const { state } = this.model;
     if (state?.safety === "faulted") return `FAULT, the motor is at zero: ${state.safety_why ?? "see the log"}. Acknowledge its alarm to go on.`;
-    if (state?.phase === "faulted") return `The tool is at fault: ${state.faults.join("; ") || "see the log"}`;
+    if (state?.phase === "faulted") return `The tool is at fault: ${inOneLine(state.faults) || "see the log"}`;
     if (this.model.hasNoTool) return "This service only shows recordings: there is no motor to start.";
     const run = state?.run ?? state?.last_run;
     if (!run) return "";

@@ -1,5 +1,5 @@
 import { byId, setAttribute, setData, setHidden, setText } from "../dom";
-import { bytes, duration, fixed, NO_VALUE } from "../format";
+import { bytes, duration, fixed, inOneLine, NO_VALUE } from "../format";
 import type { Model } from "../live/model";
 import { pageAlarm, type ShownAlarm } from "./alarms";
 import type { ToolKind } from "../wire";
@@ -62,7 +62,7 @@ export class StatusStrip {
 
   /** What is at fault, or else the last thing that happened. */
   private renderNews(faults: string[]): void {
-    const news = faults.length > 0 ? faults.join("; ") : this.model.lastEvent;
+    const news = faults.length > 0 ? inOneLine(faults) : this.model.lastEvent;
     setHidden(byId("status-news"), news === null);
     setText(byId("status-news-kind"), faults.length > 0 ? "Fault" : "Latest");
     setText(byId("status-event"), news ?? "");
