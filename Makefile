@@ -1,5 +1,5 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test audit sbom bench safety soak dashboard figures screenshots wire lock clean
+.PHONY: run test long audit sbom bench safety soak dashboard figures screenshots wire lock clean
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
@@ -16,9 +16,12 @@ run: $(VENV)/.installed app/static/index.html ## start with the simulated graspe
 test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/estimator \
+	$(BIN)/python -m pytest -m "not long" -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/estimator \
 		tests/faults --ignore tests/faults/live
 	$(BIN)/python -m pytest -m "not long" tests/browser tests/end_to_end tests/faults/live  # live tools: one at a time
+
+long: $(VENV)/.installed app/static/index.html ## the tests that `make test` leaves out, a quarter of an hour
+	$(BIN)/python -m pytest -m long tests
 
 audit: $(VENV)/.installed ## known vulnerabilities of the locked versions; says so where nobody could be asked
 	$(BIN)/python .ci/audit.py

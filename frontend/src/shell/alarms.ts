@@ -103,7 +103,7 @@ export class AlarmBar {
     setData(this.bar, "priority", top?.priority ?? "none");
     setData(this.bar, "quiet", String(top !== undefined && top.acknowledgedBy !== null));
     setText(byId("alarm-priority"), top ? WORD[top.priority] : "");
-    setText(byId("alarm-text"), top ? top.text : "No alarms");
+    setText(byId("alarm-text"), top?.text ?? (this.model.state ? "No alarms" : "Alarms are not known yet"));
     setText(byId("alarm-since"), top ? since(top, nowMs) : this.lastAlarm());
     const more = byId("alarm-more");
     setHidden(more, alarms.length < 2);
