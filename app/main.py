@@ -18,7 +18,7 @@ from app import __version__, problems
 from app.audit.deeds import Deeds
 from app.audit.watch import ChainWatch
 from app.demo import demonstrate
-from app.people.door import bounded
+from app.people.door import Loop, allow_many_files, bounded
 from app.people.gate import Gate
 from app.people.guard import Guard
 from app.people.rights import describe, open_paths, rights_of
@@ -184,10 +184,13 @@ def serve(app: FastAPI, listener: socket.socket, server: Server) -> None:
         server_header=False,
         log_level="warning",
         access_log=False,
+        proxy_headers=False,  # who asks is whose address it is; what a proxy says of that is noted as said
         timeout_graceful_shutdown=GRACE_S,
     )
     logging.getLogger("uvicorn.error").addFilter(_is_news)
-    _Server(config, app).run(sockets=[listener])
+    allow_many_files()
+    with asyncio.Runner(loop_factory=Loop) as runner:
+        runner.run(_Server(config, app).serve(sockets=[listener]))
 
 
 class _Server(uvicorn.Server):

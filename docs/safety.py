@@ -11,10 +11,10 @@ HERE = Path(__file__).parent
 INTRODUCTION = """# What can go wrong, what stops it, and how quickly
 
 Written by `make safety` from [hazards.toml](hazards.toml) and from what the tests measured on the machine that ran
-them; neither times nor outcomes are typed. A reaction lasts from the first bad sample, or the strike, until the motor command
-output of the simulated board is at zero for good; one named "alarm" until the alarm is on the wire. Sensors and errors
-of the board are tried on the board's own clock, without the time that the computer takes to compute, about 1 ms a
-block; all others in real time, the board in a process of its own over TCP. Graspwatch is a research instrument:
+them; neither times nor outcomes are typed. A reaction lasts from the first bad sample, or the strike, until the motor
+command output of the simulated board is at zero for good; one named "alarm" until the alarm is on the wire. Sensors and
+errors of the board are tried on the board's own clock, without the time that the computer takes to compute, about 1 ms
+a block; all others in real time, the board in a process of its own over TCP. Graspwatch is a research instrument:
 software alone does not protect a patient. What only hardware can stop stands with each hazard.
 """
 

@@ -12,12 +12,12 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.journal import Journal
+from app.people.origin import FORWARDED
+from app.people.roles import SAFE_METHODS
 from app.wire import Result
 
-READING = ("GET", "HEAD", "OPTIONS")
 BODY_BYTES = 20_000  # enough for whose name is in a request, and for why it was refused
 NAME_LENGTH, REASON_LENGTH, CLIENT_LENGTH = 40, 500, 200  # what is said may be of any length
-FORWARDED = ("forwarded", "x-forwarded-for", "x-real-ip")
 
 
 def note_deed(request: HTTPConnection, *, what: str | None = None, by: str | None = None) -> None:
@@ -41,7 +41,7 @@ class Deeds:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or scope["method"] in READING:
+        if scope["type"] != "http" or scope["method"] in SAFE_METHODS:
             await self._app(scope, receive, send)
             return
         asked, answered = bytearray(), bytearray()

@@ -1,5 +1,7 @@
 """Where the service listens: whether it may without tokens, TLS, and how many connections it keeps."""
 
+import asyncio
+import resource
 import ssl
 import time
 from asyncio import BaseTransport
@@ -13,6 +15,7 @@ from app.people.origin import is_loopback
 from app.people.tokens import FILE, read
 from config.errors import ConfigurationError
 
+HANDSHAKE_S = 3.0
 IN_THE_CLEAR = (
     "Warning: tokens and all else travel unencrypted to other machines. Set --tls-cert and --tls-key, or put a proxy "
     "with TLS before a service that listens on 127.0.0.1."
@@ -57,6 +60,20 @@ def check_certificate(cert: str | None, key: str | None) -> None:
 def _no_password() -> str:
     """Else OpenSSL asks at the terminal."""
     return ""
+
+
+class Loop(asyncio.SelectorEventLoop):
+    """Whoever connects and does not end the handshake of TLS is not waited for: he is in no list of connections yet."""
+
+    async def create_server(self, *arguments: Any, ssl: Any = None, **options: Any) -> asyncio.Server:
+        timeout_s = HANDSHAKE_S if ssl else None
+        return await super().create_server(*arguments, ssl=ssl, ssl_handshake_timeout=timeout_s, **options)
+
+
+def allow_many_files() -> None:
+    """As many as the system lets this process open: those in handshakes are to leave room for others."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def bounded(most: int) -> type:

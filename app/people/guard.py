@@ -72,6 +72,7 @@ class Guard:
         if method not in SAFE_METHODS:
             own = is_of_this_site(connection)
             if own is False or (own is None and who and who.session):
+                self._count_as(f"address {address_of(connection)}")  # whoever has no token is not counted above
                 raise ProblemError(HTTPStatus.FORBIDDEN, FOREIGN_PAGE)
         return who
 
@@ -119,7 +120,10 @@ class Guard:
     def _count(self, connection: HTTPConnection, who: Who | None) -> None:
         if who and who.name is None:
             return  # whoever sits at the machine has simpler ways to keep it busy
-        if wait_s := self._rates.wait_s(f"person {who.name}" if who else f"address {address_of(connection)}"):
+        self._count_as(f"person {who.name}" if who else f"address {address_of(connection)}")
+
+    def _count_as(self, key: str) -> None:
+        if wait_s := self._rates.wait_s(key):
             raise ProblemError(
                 HTTPStatus.TOO_MANY_REQUESTS, "Too many requests: ask less often. STOP is always taken.",
                 headers={"Retry-After": str(int(wait_s) + 1)},
@@ -170,6 +174,8 @@ class Guard:
                 self.note(f"{entry.name} has a token ({entry.role.value})")
             elif entry.revoked_at and not known[entry.sha256].revoked_at:
                 self.note(f"The token of {entry.name} ({entry.role.value}) was taken back")
+                if self._station and self._station.control.release(entry.name):
+                    self._station.tell_event("Control given back", JournalKind.ACCESS, entry.name)
         if self._station and self.people.fault:
             self._station.alarms.raise_technical("people", Priority.MEDIUM, self.people.fault)
         elif self._station:

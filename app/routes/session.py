@@ -38,9 +38,8 @@ async def sign_in(request: Request, response: Response, wanted: Annotated[SignIn
     entry = guard.check(request, wanted.token.strip())
     _end(request)
     secret = guard.sessions.begin(entry.sha256)
-    response.set_cookie(
-        cookie_of(request), secret, httponly=True, samesite="strict", secure=request.url.scheme == "https"
-    )
+    encrypted = "https" in (request.url.scheme, request.headers.get("x-forwarded-proto"))  # to a proxy, as it says
+    response.set_cookie(cookie_of(request), secret, httponly=True, samesite="strict", secure=encrypted)
     guard.note(f"Signed in as {entry.role.value}", entry.name)
     return _info(guard, Who(entry.role, entry.name, entry.sha256, digest(secret)))
 

@@ -229,6 +229,7 @@ def test_pages_cannot_be_framed_sniffed_or_made_to_load_from_elsewhere(service, 
 
 def test_who_loses_his_token_is_out_at_once(service, token, somebody, data):
     eve = somebody("Eve", Role.OPERATOR)
+    assert eve.post("/api/control", json={}).json()["holder"] == "Eve"
     word = {"Authorization": eve.headers["Authorization"]}
     browser = signed_in(service, word["Authorization"].removeprefix("Bearer "))
     cookie = {"Cookie": cookie_header(browser)}
@@ -245,6 +246,7 @@ def test_who_loses_his_token_is_out_at_once(service, token, somebody, data):
         assert (closed_with(program), closed_with(page)) == (4401, 4401)
         assert time.monotonic() - began < 5.0
         other.recv(timeout=5)
+    assert service.http.get("/api/control", headers=bearer(token[Role.VIEWER])).json()["holder"] is None
     texts = [line["text"] for line in journal(service, token)]
     assert "The token of Eve (operator) was taken back" in texts
     assert "Eve has a token (operator)" in texts
@@ -312,6 +314,12 @@ def test_wrong_tokens_are_slowed_down_and_told_and_lock_nobody_out(service, toke
     assert any("not good came from 127.0.0.1" in line["text"] for line in journal(service, token))
 
 
+def test_a_cookie_stays_within_tls_that_a_proxy_ends(service, token):
+    for said, is_secure in (({}, False), ({"X-Forwarded-Proto": "https"}, True)):
+        response = service.http.post("/api/session", json={"token": token[Role.VIEWER]}, headers=said)
+        assert ("secure" in response.headers["set-cookie"].lower()) is is_secure
+
+
 def test_who_asks_too_often_waits_but_stops_all_the_same(service, token, somebody):
     eve = somebody("Eve", Role.VIEWER)
     answers = (eve.get("/api/session") for _ in range(3000))
@@ -367,6 +375,7 @@ def test_over_tls_and_no_secret_is_left_anywhere(certificate, tmp_path):
     arguments = ("--tls-cert", str(certificate[0]), "--tls-key", str(certificate[1]))
     with Service("serve", "--host", "0.0.0.0", *arguments, data=data, trust=trust) as running:
         assert running.url.startswith("https://")
+        waiting = socket.create_connection(("127.0.0.1", running.port), timeout=5.0)  # and never says a word
         running.http.headers["Origin"] = running.url
         response = running.http.post("/api/session", json={"token": token[Role.ADMIN]})
         assert "secure" in response.headers["set-cookie"].lower()
@@ -388,6 +397,7 @@ def test_over_tls_and_no_secret_is_left_anywhere(certificate, tmp_path):
         until(lambda: list((data / "recordings").glob("*.mcap")))
         with pytest.raises((httpx.TransportError, AssertionError)):
             assert httpx.get(running.url.replace("https", "http")).status_code == 200
+        assert waiting.recv(1) == b""  # it was not waited for
         running.end()
         printed = "".join(running.process.communicate())
     assert "unencrypted" not in printed
@@ -410,8 +420,9 @@ def test_in_the_clear_is_warned_of(open_service):
         assert line
 
 
-def test_on_this_machine_alone_nobody_needs_a_token_until_there_is_one():
-    with Service("serve") as running:
+def test_on_this_machine_alone_nobody_needs_a_token_until_there_is_one(tmp_path):
+    config = config_with(tmp_path, requests_per_s=20, burst_requests=150)
+    with Service("serve", "--config", str(config)) as running:
         assert running.http.get("/api/session").json() == {"needed": False, "name": None, "role": "admin"}
         assert "tokens" in problem(running.http.post("/api/session", json={"token": "x"}), 409)
         assert "tokens" in problem(running.http.post("/api/control", json={}), 409)
@@ -423,6 +434,10 @@ def test_on_this_machine_alone_nobody_needs_a_token_until_there_is_one():
             with pytest.raises(InvalidStatus) as refused:
                 connect(address, sock=line, additional_headers=headers)
             assert refused.value.response.status_code == 403
+        lines = len((running.data / "journal.jsonl").read_text().splitlines())
+        answers = [running.http.post("/api/stop", headers={"Origin": "http://evil.example"}) for _ in range(300)]
+        assert {answer.status_code for answer in answers} == {403, 429}
+        assert len((running.data / "journal.jsonl").read_text().splitlines()) - lines < 250
         problem(running.http.get("/api/system", headers={"Host": "evil.example"}), 403)
         with connect(running.live_url, max_size=None) as live:
             live.recv(timeout=5)
