@@ -178,6 +178,7 @@ async def stop_run(request: Request, run_id: str) -> StopAnswer:
     """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
     current = station_of(request).runs.current
     if current is None or current.id != run_id:
+        await _who_stops(request)  # for the journal
         return StopAnswer(stopped=False, run=await get_run(request, run_id))
     return await _stop(request)
 
