@@ -47,7 +47,7 @@ AT = {
 
 @dataclass
 class Bench:
-    """`samples` are those that were published; `grasps` what was made of them."""
+    """`samples` are those that were published; `grasps` what was made of them, `labels` and `limits_n` by block."""
 
     tissue: str = "bladder"
     seed: int = 1
@@ -55,7 +55,8 @@ class Bench:
     sensor_seed: int = 0
     samples: list[np.ndarray] = field(default_factory=list)
     grasps: list[GraspRecord] = field(default_factory=list)
-    labels: set[str] = field(default_factory=set)
+    labels: list[str] = field(default_factory=list)
+    limits_n: list[float] = field(default_factory=list)
     ended: list[RunEnded] = field(default_factory=list)
     error: ToolError | None = None
 
@@ -94,7 +95,8 @@ class Bench:
         estimate = self.session.process(block)
         limit = limit_of(estimate.identification)
         self.acquisition.allow(limit.threshold_n, limit.tick)
-        self.labels.add(estimate.identification.label)
+        self.labels.append(estimate.identification.label)
+        self.limits_n.append(limit.threshold_n)
         self.grasps += estimate.ended
 
     @property

@@ -89,7 +89,11 @@ def test_what_is_dropped_is_counted_and_names_nothing_wrong(blocks, tmp_path):
     with running(tmp_path) as estimator:
         received = estimator.estimate([block for block in blocks if block.sequence not in dropped])
     assert received[-1].missing_blocks == len(dropped)
-    assert {grasp.label for grasp in grasps_of(received)} <= {TISSUE, "undecided", "unknown"}
+    assert len(received) == len(blocks) - len(dropped)
+    grasps = grasps_of(received)
+    assert len(grasps) == 2
+    assert {grasp.label for grasp in grasps} <= {TISSUE, "undecided", "unknown"}
+    assert any(grasp.why_invalid for grasp in grasps)
 
 
 def test_blocks_that_are_overtaken_are_counted_as_missing_and_end_no_grasp(blocks, tmp_path):

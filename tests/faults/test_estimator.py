@@ -11,7 +11,6 @@ from acquisition.nidaq import NidaqTool
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import in_process_options
-from estimator.session import EstimationSession
 
 STRONG = PROTOCOL.model_copy(update={"waveform": PROTOCOL.waveform.model_copy(update={"peak_v": 3.5, "hold_s": 1.0})})
 HOLD_N = SETTINGS.limiter.margin * LIBRARY.lowest_threshold_n
@@ -33,12 +32,38 @@ def test_a_limit_that_comes_100_ms_late_does_not_count(late, is_held):
     assert (max(grasper.forces_n) < 1.05 * HOLD_N) is is_held
 
 
-def test_filters_that_diverge_are_left_out_and_name_nothing(monkeypatch):
-    """Every filter's state is made no number in the midst of a grasp."""
-    bench = Bench("bladder", cycles=2).play(until=AT[Moment.RAMP])
-    bench.session.bank.state.mean[:] = np.nan
+DIVERGENCES = {
+    "no number": lambda state: state.mean.fill(np.nan),
+    "no variance": lambda state: state.cov.fill(np.nan),
+    "run away": lambda state: state.mean.fill(1e9),
+}
+
+
+@pytest.mark.parametrize("diverge", DIVERGENCES.values(), ids=DIVERGENCES)
+def test_filters_that_diverge_name_nothing_and_the_next_grasp_is_named_again(diverge):
+    """All of them, in the hold of a small bowel, which bears more than the lowest limit."""
+    bench = Bench("small_bowel", seed=2, cycles=2).play(until=AT[Moment.HOLD])
+    assert bench.labels[-1] == "small_bowel"
+    assert bench.limits_n[-1] > LIBRARY.lowest_threshold_n
+    diverge(bench.session.bank.state)
+    begin = len(bench.labels)
+    bench.play(until=AT[Moment.REST])
+    assert {*bench.labels[begin + 1 :]} <= {"undecided", "unknown"}
+    assert {*bench.limits_n[begin + 1 :]} == {LIBRARY.lowest_threshold_n}
+    assert not bench.session.bank.state.valid.any()
     bench.play()
-    assert bench.labels <= {"bladder", "undecided", "unknown"}
-    assert len(bench.grasps) >= 1
-    assert bench.grasps[0].label != "liver"
-    assert isinstance(bench.session, EstimationSession)
+    assert [ended.end.value for ended in bench.ended] == ["finished"]
+    assert [grasp.label in ("undecided", "unknown") for grasp in bench.grasps] == [True, False]
+    assert bench.grasps[1].label == "small_bowel"
+
+
+def test_a_tissue_whose_filters_diverge_leaves_the_others_working():
+    bench = Bench("bladder", cycles=1).play(until=AT[Moment.RAMP])
+    state = bench.session.bank.state
+    tissues, bladder = len(LIBRARY.tissues), list(LIBRARY.tissues).index("bladder")
+    wrong = [k for k in range(len(state.mean)) if k % tissues == (bladder + 1) % tissues]
+    state.mean[wrong] = np.nan
+    bench.play(until=AT[Moment.HOLD])
+    assert not state.valid[wrong].any()
+    bench.play()
+    assert [grasp.label for grasp in bench.grasps] == ["bladder"]
