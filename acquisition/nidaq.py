@@ -4,6 +4,7 @@ import contextlib
 import functools
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
@@ -261,16 +262,43 @@ def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = N
         raise ToolError(f"{_explain(error, tool)} {_switch_off(tool)}") from error
 
 
-def check_driver(tool: Tool) -> None:
-    """Find out whether there is a driver at all, before anything else is started.
+def check_driver(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> str:
+    """Find out whether there is a driver at all, before anything else is started; its version.
 
     Raises:
         ToolError: there is none.
     """
     try:
-        options = session_options(tool)
+        options = grpc_options or session_options(tool)
         system = System.remote(options) if options else System.local()
-        system.driver_version  # noqa: B018
+        version = system.driver_version
+    except _BOARD_ERRORS as error:
+        raise ToolError(_explain(error, tool)) from error
+    return f"{version.major_version}.{version.minor_version}.{version.update_version}"
+
+
+@dataclass(frozen=True, slots=True)
+class BoardFacts:
+    """What a board says of itself; names of channels without the device's."""
+
+    product: str
+    analog_inputs: tuple[str, ...]
+    analog_outputs: tuple[str, ...]
+    counters: tuple[str, ...]
+    input_ranges_v: tuple[float, ...]  # the upper ends
+
+
+def look_at_board(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> BoardFacts:
+    """Ask the board; nothing is started.
+
+    Raises:
+        ToolError: there is no such board, or it does not answer.
+    """
+    device = Device(tool.board.device, grpc_options=grpc_options or session_options(tool))
+    try:
+        channels = (device.ai_physical_chans, device.ao_physical_chans, device.ci_physical_chans)
+        names = [tuple(name.partition("/")[2] for name in each.channel_names) for each in channels]
+        return BoardFacts(device.product_type, *names, tuple(device.ai_voltage_rngs[1::2]))
     except _BOARD_ERRORS as error:
         raise ToolError(_explain(error, tool)) from error
 

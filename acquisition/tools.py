@@ -4,6 +4,9 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import nidaqmx
+
+from acquisition.bench.walk import Walk
 from acquisition.nidaq import NidaqTool, session_options
 from config.load import holdable
 from config.schema import TissueLibrary, Tool, ToolKind
@@ -21,6 +24,23 @@ def open_tool(
     """
     if tool.kind is ToolKind.NIDAQ:
         return NidaqTool(tool, session_options(tool)), None
+    options, clock, grasper = _simulated(tool, library, tissue, seed, virtual)
+    return NidaqTool(tool, options, clock), grasper
+
+
+def open_bench(tool: Tool, library: TissueLibrary) -> Walk:
+    """The tool to be checked; the jaws of a simulated one are empty."""
+    if tool.kind is ToolKind.NIDAQ:
+        return Walk(tool, session_options(tool), time.monotonic_ns)
+    options, clock, grasper = _simulated(tool, library, next(iter(library.tissues)), seed=0, virtual=False)
+    grasper.empty = True
+    return Walk(tool, options, clock)
+
+
+def _simulated(
+    tool: Tool, library: TissueLibrary, tissue: str, seed: int, virtual: bool
+) -> tuple[nidaqmx.GrpcSessionOptions, Callable[[], int], "SimulatedGrasper"]:
+    """How the simulated board is reached, its clock, and its grasper."""
     from acquisition.simulation.board import RealClock, SimulatedBoard, VirtualClock  # only where it is asked for
     from acquisition.simulation.grasper import SimulatedGrasper
     from acquisition.simulation.service import in_process_options
@@ -28,4 +48,4 @@ def open_tool(
     grasper = SimulatedGrasper(tool, holdable(library), tissue, seed)
     board = SimulatedBoard(tool, grasper, VirtualClock() if virtual else RealClock())
     clock: Callable[[], int] = board.clock.now_ns if virtual else time.monotonic_ns
-    return NidaqTool(tool, in_process_options(board), clock), grasper
+    return in_process_options(board), clock, grasper

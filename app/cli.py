@@ -14,6 +14,7 @@ from rich.table import Table
 
 from app import __version__
 from app.audit import command as audit
+from app.bench.command import check
 from app.exchange import command as exchange
 from app.learn.command import learn
 from app.learn.labels import LearnCommand
@@ -49,7 +50,7 @@ app = typer.Typer(
 app.add_typer(study.app, name="study")
 app.add_typer(audit.app, name="audit")
 app.add_typer(people.app, name="token")
-for command in (*exchange.COMMANDS, report):
+for command in (*exchange.COMMANDS, report, check):
     app.command(command.__name__.strip("_").replace("_", "-"))(command)
 app.command("learn", cls=LearnCommand)(learn)
 

@@ -101,6 +101,10 @@ class Service:
 
         return until(found)
 
+    def conditions(self) -> dict[str, str]:
+        """How each worker is."""
+        return self.http.get("/api/health").json()["workers"]
+
     def run(self, **body: Any) -> dict[str, Any]:
         response = self.http.post("/api/runs", json=body)
         assert response.status_code == 201, response.text

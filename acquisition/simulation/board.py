@@ -6,7 +6,7 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from nidaqmx.error_codes import DAQmxErrors
 
@@ -49,6 +49,13 @@ class Plant(Protocol):
     def step(self, command_v: float) -> tuple[float, float, float, float]:
         """One sample period under a held motor command: strain_v, encoder_deg, touch_1_v, touch_2_v at its end."""
         ...
+
+
+@runtime_checkable
+class Miswired(Protocol):
+    """A plant that also says what the board reads of its own output, V; it needs not."""
+
+    def readback_v(self, command_v: float) -> float: ...
 
 
 class BoardError(Exception):
@@ -110,7 +117,8 @@ class SimulatedBoard:
         """`buffer_samples` defaults to what DAQmx allots at 1 kHz, 10 s."""
         self.clock: Clock = clock or RealClock()
         self._plant = plant
-        self._device = tool.board.device
+        self._readback_of = plant.readback_v if isinstance(plant, Miswired) else float
+        self._device, self.product = tool.board.device, tool.board.product
         self._buffer_samples = buffer_samples
         self._encoder_resolution_deg = tool.calibration.encoder_resolution_deg
         wired = tool.channels
@@ -160,7 +168,7 @@ class SimulatedBoard:
     def add_channel(self, name: str, kind: Kind, physical: str) -> Task:
         """Add `physical`, e.g. `Dev1/ai0`, to the task and return the task."""
         device, _, channel = physical.partition("/")
-        self._check_device(device)
+        self.check_device(device)
         if channel not in self._wired[kind]:
             raise BoardError(DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST, f"Physical channel does not exist: {physical}")
         task = self.task(name)
@@ -169,7 +177,11 @@ class SimulatedBoard:
         task.columns.append(self._wired[kind].index(channel))
         return task
 
-    def _check_device(self, device: str) -> None:
+    def channels_of(self, kind: Kind) -> tuple[str, ...]:
+        """Names of its physical channels, without the device's."""
+        return self._wired[kind]
+
+    def check_device(self, device: str) -> None:
         if device != self._device:
             raise BoardError(DAQmxErrors.INVALID_DEVICE_ID, f"Device identifier is invalid: {device}")
 
@@ -203,7 +215,7 @@ class SimulatedBoard:
 
     def reset_device(self, device: str) -> None:
         """Abort all tasks and put the output to 0 V."""
-        self._check_device(device)
+        self.check_device(device)
         with self._lock:
             self._check_present()
             self._advance()
@@ -337,9 +349,10 @@ class SimulatedBoard:
         clocked = [task for task in self._tasks.values() if task.armed and task.state is State.RUNNING]
         queues = [task.samples for task in clocked]
         step, command_v = self._plant.step, self._output_v
+        readback_v = self._readback_of(command_v)
         for _ in range(min(due, self._buffer_samples + 1)):  # past an overrun nobody can read any more
             strain_v, encoder_deg, touch_1_v, touch_2_v = step(command_v)
-            sample = (strain_v, command_v, touch_1_v, touch_2_v, encoder_deg)
+            sample = (strain_v, readback_v, touch_1_v, touch_2_v, encoder_deg)
             for queue in queues:
                 queue.append(sample)
         for task in clocked:

@@ -44,7 +44,7 @@ class SimulatedGrasper:
         self._drive_share = -math.expm1(-self._dt_s / self._mechanics.drive_lag_s)
         self._contact_share = -math.expm1(-self._dt_s / self._mechanics.contact_lag_s)
         self._opening_share = math.exp(-self._dt_s / self._mechanics.opening_time_s)
-        self.tissue = tissue
+        self.tissue, self.empty = tissue, False
         self.specimen = self._draw()
         self.drive_n = 0.0
         self.force_n = 0.0
@@ -82,7 +82,9 @@ class SimulatedGrasper:
 
     @property
     def _free_m(self) -> float:
-        """How far the jaws move before they touch: thick tissue fills them."""
+        """How far the jaws move before they touch: thick tissue fills them; empty ones meet each other."""
+        if self.empty:
+            return self._reach_m
         opening_m = self._tool.geometry.opening_m
         least_m = self._mechanics.free_travel_m
         return least_m if opening_m is None else max(least_m, opening_m - self.specimen.thickness_m)

@@ -17,6 +17,12 @@ from acquisition.simulation.board import BoardError, Kind, SimulatedBoard
 _DRIVER_VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}  # attributes of the system: major, minor, update
 _ARM_START_SOURCE = 0x1417
 _TASK_CHANNELS = 0x1273
+_CHANNELS_OF_DEVICE = {
+    pb.DEVICE_ATTRIBUTE_AI_PHYSICAL_CHANS: Kind.ANALOG_IN,
+    pb.DEVICE_ATTRIBUTE_AO_PHYSICAL_CHANS: Kind.ANALOG_OUT,
+    pb.DEVICE_ATTRIBUTE_CI_PHYSICAL_CHANS: Kind.ENCODER,
+}
+_INPUT_RANGES_V = (-0.2, 0.2, -1.0, 1.0, -5.0, 5.0, -10.0, 10.0)  # of a PCI-6230
 _COUNTS_PER_PULSE = {EncoderType.X_1.value: 1, EncoderType.X_2.value: 2, EncoderType.X_4.value: 4}
 
 
@@ -63,6 +69,22 @@ class BoardService(NiDAQmxServicer):
         self, request: pb.GetSystemInfoAttributeUInt32Request
     ) -> pb.GetSystemInfoAttributeUInt32Response:
         return pb.GetSystemInfoAttributeUInt32Response(value=_DRIVER_VERSION.get(request.attribute_raw, 0))
+
+    @_answers
+    def GetDeviceAttributeString(
+        self, request: pb.GetDeviceAttributeStringRequest
+    ) -> pb.GetDeviceAttributeStringResponse:
+        self._board.check_device(request.device_name)
+        kind = _CHANNELS_OF_DEVICE.get(request.attribute_raw)
+        channels = ", ".join(f"{request.device_name}/{each}" for each in self._board.channels_of(kind)) if kind else ""
+        return pb.GetDeviceAttributeStringResponse(value=channels or self._board.product)
+
+    @_answers
+    def GetDeviceAttributeDoubleArray(
+        self, request: pb.GetDeviceAttributeDoubleArrayRequest
+    ) -> pb.GetDeviceAttributeDoubleArrayResponse:
+        self._board.check_device(request.device_name)
+        return pb.GetDeviceAttributeDoubleArrayResponse(value=_INPUT_RANGES_V)
 
     @_answers
     def CreateTask(self, request: pb.CreateTaskRequest) -> pb.CreateTaskResponse:

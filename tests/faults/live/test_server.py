@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 import time
+from pathlib import Path
 
 import httpx
 import pytest
@@ -13,6 +14,7 @@ from boards import ServedBoard
 from service import Listener, Service, until
 from websockets.asyncio.client import connect
 
+SABOTEUR = Path(__file__).with_name("saboteur")
 VIEWERS, WHO_NEVER_READ = 100, 10
 STORM_REQUESTS, STORM_CLIENTS = 500, 20
 STOP_S = 0.5
@@ -27,9 +29,10 @@ def board(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def service(board):
-    with Service("serve", "--tool", str(board.tool_file)) as running:
-        until(lambda: running.http.get("/api/health").json()["workers"]["guard"] == "running")
-        yield running
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(SABOTEUR))
+        with Service("serve", "--tool", str(board.tool_file)) as running:
+            yield running
 
 
 async def _watch(url: str, seconds: float, *, reads: bool) -> int:
@@ -97,13 +100,23 @@ def test_a_storm_of_requests_delays_neither_the_tool_nor_stop(service, board, re
     assert "graspwatch_lost_samples_total 0.0" in service.http.get("/metrics").text
 
 
-def test_a_server_that_is_held_up_for_two_seconds_leaves_the_tool_alone(service, board):
+def stop_process(pid):
+    os.kill(pid, signal.SIGSTOP)
+    time.sleep(2.0)
+    os.kill(pid, signal.SIGCONT)
+
+
+def block_event_loop(pid):
+    os.kill(pid, signal.SIGRTMIN)
+    time.sleep(2.0)
+
+
+@pytest.mark.parametrize("hold_up", [stop_process, block_event_loop])
+def test_a_server_that_is_held_up_for_two_seconds_leaves_the_tool_alone(service, board, hold_up):
     run = service.run(**LONG)
     board.wait_for_force()
     workers = {name: service.worker(name) for name in ("acquisition", "estimator", "recorder", "guard")}
-    os.kill(service.process.pid, signal.SIGSTOP)
-    time.sleep(2.0)
-    os.kill(service.process.pid, signal.SIGCONT)
+    hold_up(service.process.pid)
     with Listener(service) as listener:
         listener.listen(lambda: len(listener.of("state")) > 3)
         assert not [alarm["text"] for alarm in listener.of("alarm") if alarm["kind"] == "technical"]

@@ -5,9 +5,14 @@ import signal
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from boards import ServedBoard
 from service import Listener, Service, until
+
+from acquisition.recordings.container import Container
+from app.record.reading import read_run
+from config.load import load_library
 
 
 def long(*values):
@@ -26,6 +31,9 @@ SIGNALS = {
 SLOW = {("recorder", "stopped"), ("recorder", "memory hog"), ("guard", "memory hog")}
 """A disk may take its time: a recorder that hangs is told after two seconds; what eats memory is dead once it has."""
 LONG = {"protocol": "trapezoid_025hz", "cycles": 20}
+STRONG = {"protocol": "strong_2hz", "cycles": 40}
+"""Without the limiter over the injury threshold of what is held, which is the lowest of the library."""
+LOWEST_N = load_library("porcine").lowest_threshold_n
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +46,11 @@ def board(tmp_path_factory):
 def service(board, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(SABOTEUR))
     with Service("serve", "--tool", str(board.tool_file)) as running:
-        until(lambda: running.http.get("/api/health").json()["workers"]["guard"] == "running")
         yield running
 
 
-def start(service, board):
-    run = service.run(**LONG)
+def start(service, board, what=LONG):
+    run = service.run(**what)
     board.wait_for_force()
     time.sleep(0.2)
     return run
@@ -85,14 +92,34 @@ def test_an_acquisition_that_is_lost_leaves_the_motor_at_zero_within_100_ms(serv
 )
 def test_any_other_worker_that_is_lost_is_told_and_the_grasp_goes_on(service, board, worker, how, reactions):
     with Listener(service) as listener:
-        run = start(service, board)
-        os.kill(service.worker(worker), SIGNALS[how])
+        run = start(service, board, STRONG)
+        began = time.monotonic()
+        pid = service.worker(worker)
+        os.kill(pid, SIGNALS[how])
         floor_s = 2.5 if (worker, how) in SLOW else ALARM_S
         texts = (worker, "estimates")
         told_s = listener.listen(lambda: any(text in a["text"] for a in listener.of("alarm") for text in texts))
         reactions.add(f"{worker}: {how}: alarm", "hold", told_s * 1e3, floor_s * 1e3)
         assert told_s <= floor_s
     board.wait_for_force()
+    until(lambda: service.worker(worker) != pid and service.conditions()[worker] == "running")
+    board.wait_for_force()  # the next grasp
     assert service.http.get(f"/api/runs/{run['id']}").json()["state"] == "running"
+    ran_s = time.monotonic() - began
     service.http.post("/api/stop")
     assert board.output_v == 0.0
+    assert board.peak_force_n < LOWEST_N
+    assert "graspwatch_lost_samples_total 0.0" in service.http.get("/metrics").text
+    first, *more = until(lambda: whole_files(service, run["id"]))
+    assert bool(more) is (worker == "recorder")
+    ticks = first.samples["tick"]
+    assert (np.diff(ticks) == 1).all()
+    if worker != "recorder":
+        assert ticks[-1] - ticks[0] > (ran_s + 0.2) * 1000  # to the end, and from before the run
+
+
+def whole_files(service, run_id):
+    """What the recordings of a run hold, once all are closed; the first of a recorder that died ends with it."""
+    paths = sorted((service.data / "recordings").glob(f"{run_id}*.mcap"))
+    complete = paths and all(Container(path).complete for path in paths)
+    return [read_run(path) for path in paths] if complete else None

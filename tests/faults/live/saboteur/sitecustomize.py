@@ -1,6 +1,7 @@
 """Put into every process of a service under test by PYTHONPATH: signals on which its main thread fails from inside."""
 
 import signal
+import time
 
 
 def fail(number, frame):
@@ -15,3 +16,4 @@ def hog(number, frame):
 
 signal.signal(signal.SIGUSR1, fail)
 signal.signal(signal.SIGUSR2, hog)
+signal.signal(signal.SIGRTMIN, lambda number, frame: time.sleep(2.0))

@@ -1,0 +1,1 @@
+"""The first day with a tool: is it wired as its file says?"""
