@@ -9,7 +9,9 @@ from rich.console import Console
 from rich.markup import escape
 
 from acquisition.bench.checks import Finding, Outcome
+from acquisition.process import ask_for_realtime
 from acquisition.tools import open_bench
+from acquisition.worker import REALTIME_PRIORITY
 from app.options import ConfigOption, JsonOption, errors
 from config.errors import ConfigurationError, ToolError
 from config.load import load_library, load_settings, load_tool
@@ -42,6 +44,7 @@ def check(
         is_asked = move is None and errors.is_terminal and not as_json
         return typer.confirm(QUESTION, err=True) if is_asked else bool(move)
 
+    ask_for_realtime(REALTIME_PRIORITY)  # the clock is judged as the worker will read it
     console, findings = Console(highlight=False), []
     for finding in open_bench(chosen, load_library(settings.library)).findings(may_move):
         findings.append(finding)
