@@ -18,7 +18,7 @@ from app import __version__, problems
 from app.audit.deeds import Deeds
 from app.audit.watch import ChainWatch
 from app.demo import demonstrate
-from app.people.door import Loop, allow_many_files, bounded
+from app.people.door import Loop, WebSocketDoor, allow_many_files, bounded
 from app.people.gate import Gate
 from app.people.guard import Guard
 from app.people.rights import describe, open_paths, rights_of
@@ -176,7 +176,7 @@ def serve(app: FastAPI, listener: socket.socket, server: Server) -> None:
     config = uvicorn.Config(
         app,
         http=bounded(server.most_connections),
-        ws="websockets-sansio",
+        ws=WebSocketDoor,
         ws_per_message_deflate=False,
         ws_max_size=LONGEST_WORD_BYTES,
         ssl_certfile=server.tls_cert,

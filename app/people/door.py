@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from app.people.origin import is_loopback
 from app.people.tokens import FILE, read
 from config.errors import ConfigurationError
 
 HANDSHAKE_S = 3.0
+LINGER_S = 1.0
 IN_THE_CLEAR = (
     "Warning: tokens and all else travel unencrypted to other machines. Set --tls-cert and --tls-key, or put a proxy "
     "with TLS before a service that listens on 127.0.0.1."
@@ -74,6 +76,22 @@ def allow_many_files() -> None:
     """As many as the system lets this process open: those in handshakes are to leave room for others."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+class WebSocketDoor(WebSocketsSansIOProtocol):
+    """Lets the reason of a close arrive: with input unread, a connection that is closed is reset, and the peer sees
+    only that. What still comes is thrown away for a moment."""
+
+    def data_received(self, data: bytes) -> None:
+        if self.conn.parser_exc is None:
+            super().data_received(data)
+
+    def handle_parser_exception(self) -> None:
+        why = self.conn.close_sent
+        self.queue.put_nowait({"type": "websocket.disconnect", "code": why.code, "reason": why.reason})
+        self.transport.write(b"".join(self.conn.data_to_send()))
+        self.close_sent = True
+        self.close_timer = self.loop.call_later(LINGER_S, self.transport.close)
 
 
 def bounded(most: int) -> type:
