@@ -1,7 +1,6 @@
 """The paper's low-pass filter, with its state kept from block to block."""
 
 import numpy as np
-from scipy import signal
 
 from config.errors import ConfigurationError
 from config.schema import Conditioning
@@ -16,12 +15,15 @@ class LowPass:
                 f"conditioning.butterworth_cutoff_hz: {settings.butterworth_cutoff_hz:g} Hz is not below half of the "
                 f"tool's {rate_hz:g} samples a second. Lower it."
             )
+        from scipy import signal  # takes most of a second: not in processes that only know of this one
+
+        self._signal = signal
         self._b, self._a = signal.butter(settings.butterworth_order, settings.butterworth_cutoff_hz, fs=rate_hz)
         self._state: np.ndarray | None = None
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Filter `values` of shape (channels, n); returns the same shape."""
         if self._state is None:
-            self._state = signal.lfilter_zi(self._b, self._a) * values[:, :1]
-        filtered, self._state = signal.lfilter(self._b, self._a, values, axis=-1, zi=self._state)
+            self._state = self._signal.lfilter_zi(self._b, self._a) * values[:, :1]
+        filtered, self._state = self._signal.lfilter(self._b, self._a, values, axis=-1, zi=self._state)
         return filtered

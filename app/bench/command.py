@@ -2,22 +2,18 @@
 
 import json
 from dataclasses import asdict
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
-from acquisition.bench.checks import Finding, Outcome
-from acquisition.process import ask_for_realtime
-from acquisition.tools import open_bench
-from acquisition.worker import REALTIME_PRIORITY
 from app.options import ConfigOption, JsonOption, errors
 from config.errors import ConfigurationError, ToolError
 from config.load import load_library, load_settings, load_tool
 from config.schema import ToolKind
 
-STYLES = {Outcome.PASS: "green", Outcome.FAIL: "bold red", Outcome.NOT_DONE: "yellow"}
+STYLES = {"pass": "green", "fail": "bold red", "not done": "yellow"}
 QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
 
 
@@ -40,6 +36,11 @@ def check(
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to check.")
 
+    from acquisition.bench.checks import Finding, Outcome  # takes a second: not before the request is known to be sound
+    from acquisition.process import ask_for_realtime
+    from acquisition.tools import open_bench
+    from acquisition.worker import REALTIME_PRIORITY
+
     def may_move() -> bool:
         is_asked = move is None and errors.is_terminal and not as_json
         return typer.confirm(QUESTION, err=True) if is_asked else bool(move)
@@ -49,13 +50,13 @@ def check(
     for finding in open_bench(chosen, load_library(settings.library)).findings(may_move):
         findings.append(finding)
         if not as_json and finding.outcome is not Outcome.NOT_DONE:
-            console.print(_line(finding), soft_wrap=True)
+            console.print(_line(asdict(finding)), soft_wrap=True)
     not_done = [finding for finding in findings if finding.outcome is Outcome.NOT_DONE]
     if as_json:
         print(json.dumps({"tool": chosen.name, "checks": [asdict(finding) for finding in findings]}, indent=2))
     for text in dict.fromkeys(finding.text for finding in not_done if not as_json):
         names = ", ".join(finding.check for finding in not_done if finding.text == text)
-        console.print(_line(Finding(names, Outcome.NOT_DONE, text)), soft_wrap=True)
+        console.print(_line(asdict(Finding(names, Outcome.NOT_DONE, text))), soft_wrap=True)
     failed = [finding.check for finding in findings if finding.outcome is Outcome.FAIL]
     if failed:
         raise ToolError(f"{chosen.title} is not ready: {', '.join(failed)}. Do what stands beside, then check again.")
@@ -63,5 +64,6 @@ def check(
         console.print(f"{chosen.title}: all is well" + (f"; {len(not_done)} checks not done." if not_done else "."))
 
 
-def _line(finding: Finding) -> str:
-    return f"[{STYLES[finding.outcome]}]{finding.outcome.value:<8}[/] {finding.check}: {escape(finding.text)}"
+def _line(finding: dict[str, Any]) -> str:
+    outcome = str(finding["outcome"])
+    return f"[{STYLES[outcome]}]{outcome:<8}[/] {finding['check']}: {escape(finding['text'])}"
