@@ -1,6 +1,7 @@
 """The acquisition worker: a process that owns the tool, conditions its samples and commands its motor."""
 
 from dataclasses import asdict, dataclass
+from multiprocessing.synchronize import Event
 
 import zmq
 
@@ -14,6 +15,7 @@ from config.errors import GraspwatchError, RefusedError
 from config.schema import Conditioning, Limiter, Protocol, TissueLibrary, Tool
 
 REALTIME_PRIORITY = 80
+LOOKS_EVERY_S = 0.1
 MOST_COMMANDS = 20  # after one block: a stop does not queue behind what others ask for
 
 
@@ -29,6 +31,7 @@ class Setup:
     tissue: str
     seed: int
     limiter: Limiter
+    begin: Event  # set once the tool may be opened
     fault: str = ""  # that a worker before this one died of, with the motor armed
 
 
@@ -54,10 +57,13 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
     limits = bus.newest_of(context, setup.endpoints.limits)
     commands = context.socket(zmq.REP)
     commands.bind(setup.endpoints.commands)
+    hold_back = HoldBack(setup.tool, setup.library, setup.limiter)
+    safety = Safety.FAULTED if setup.fault else Safety.DISARMED
+    acquisition = Acquisition(source, setup.tool, setup.conditioning, hold_back, safety, setup.fault)
+    while not setup.begin.wait(LOOKS_EVERY_S):
+        if stop.set:
+            return
     with source:
-        hold_back = HoldBack(setup.tool, setup.library, setup.limiter)
-        safety = Safety.FAULTED if setup.fault else Safety.DISARMED
-        acquisition = Acquisition(source, setup.tool, setup.conditioning, hold_back, safety, setup.fault)
         calm_garbage_collector()
         realtime = ask_for_realtime(REALTIME_PRIORITY)
         publisher.send_multipart(bus.pack_notice("acquiring", realtime=realtime))

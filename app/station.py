@@ -101,12 +101,12 @@ class Station:
         self._died_ns = 0  # the last acquisition worker
         self._ending = False
         self._stops = 0
-        self.estimator_ready = asyncio.Event()
+        self.estimator_ready = asyncio.Event()  # from then on the tool is opened
 
     # --- life --------------------------------------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Start the workers: first the estimator, whose filters may have to be compiled, then the tool."""
+        """Start the workers; the tool is opened when the filters, which may have to be compiled, are ready."""
         self.index.start()
         self._end_runs_cut_short()
         if self.plan.opened:
@@ -118,7 +118,6 @@ class Station:
             self._listen(endpoints.recorder, self._on_recorder),
             self._listen(endpoints.guard, self._on_guard),
             self._tick(),
-            self._start_tool(),
         ):
             task = asyncio.create_task(work)
             self.watch_over(task)
@@ -126,6 +125,7 @@ class Station:
         self.supervisor.start_recorder()
         self.supervisor.start_guard()
         self.supervisor.start_estimator()
+        self.supervisor.start_acquisition()
 
     def _end_runs_cut_short(self) -> None:
         """Those of a service that was killed; unless another one lives, whose they may be."""
@@ -146,10 +146,6 @@ class Station:
         logging.getLogger("graspwatch").error("the server failed inside", exc_info=task.exception())
         self.alarms.raise_technical("server", Priority.HIGH, self.internal_error)
         self._stopping = asyncio.create_task(self._commander.send(bus.Stop("the server failed")))
-
-    async def _start_tool(self) -> None:
-        await self.estimator_ready.wait()
-        self.supervisor.start_acquisition()
 
     async def halt(self) -> None:
         """Motor to zero before anything else, and nobody starts anything any more."""
@@ -227,7 +223,7 @@ class Station:
 
     async def zero_motor(self, why: str) -> bool:
         """As `stop_run`, for who has to find out first on whose behalf he can tell it."""
-        if self.supervisor.workers["acquisition"].process is None:
+        if not self.estimator_ready.is_set():
             return False  # there is no motor, or nothing that could move it yet
         self._stops += 1
         effect = await self._commander.send(bus.Stop(why))
@@ -357,6 +353,7 @@ class Station:
                 self._fault_texts.pop("estimator", None)
                 self.supervisor.runs("estimator")
                 self.estimator_ready.set()
+                self.supervisor.open_tool()
             case "acquiring":
                 self._fault_texts.pop("acquisition", None)
                 how = "" if notice["realtime"] else ", without real-time priority"

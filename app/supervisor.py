@@ -66,11 +66,12 @@ class Supervisor:
         self._folder = tempfile.TemporaryDirectory(prefix="graspwatch-")
         self.endpoints = Endpoints.in_folder(Path(self._folder.name))
         self._context = multiprocessing.get_context("spawn")
+        self._begin = self._context.Event()
         self._ending = False
         self._replacing: set[asyncio.Task[None]] = set()
         acquisition = acquisition_worker.Setup(
             os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings.conditioning,
-            plan.tissue, plan.seed, plan.settings.limiter,
+            plan.tissue, plan.seed, plan.settings.limiter, self._begin,
         )  # fmt: skip
         estimator = estimator_worker.Setup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
         rig = Rig(plan.tool, plan.library, plan.settings)
@@ -113,7 +114,11 @@ class Supervisor:
         self._start(self.workers["recorder"])
 
     def start_acquisition(self) -> None:
+        """It makes itself ready, and waits until the tool may be opened."""
         self._start(self.workers["acquisition"])
+
+    def open_tool(self) -> None:
+        self._begin.set()
 
     def _start(self, worker: Worker) -> None:
         process = self._context.Process(target=worker.main, args=(worker.setup,), name=f"graspwatch-{worker.name}")
