@@ -98,6 +98,7 @@ def test_the_journal_is_written_out_for_others(service: Service) -> None:
     assert audit("export", "--since", "yesterday", "--data", service.data).returncode == 2
 
 
+@pytest.mark.long
 def test_a_journal_that_somebody_has_shortened_is_found_out(service: Service) -> None:
     """The last test of this service: it ends it. A run's recording and the index both know the lines."""
     service.finished(service.run(protocol="trapezoid_4hz", cycles=1, by="Ada")["id"])

@@ -105,6 +105,7 @@ def test_a_killed_recorder_loses_less_than_a_second_and_the_run_goes_on(service:
         assert not any("recorder" in fault for fault in listener.of("state")[-1]["faults"])
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_the_recording_with_an_alarm_and_not_the_run(service: Service) -> None:
     """The recorder may not write files of more than 1.25 MB: to it that is a full disk."""
     limit = 1_250_000
@@ -132,6 +133,7 @@ def test_a_full_disk_ends_the_recording_with_an_alarm_and_not_the_run(service: S
     assert recording_state(service)["problem"] is None
 
 
+@pytest.mark.long
 def test_with_too_little_room_a_run_is_not_recorded_and_says_so(tmp_path: Path) -> None:
     (tmp_path / "little.toml").write_text("[recording]\nleast_free_bytes = 1_000_000_000_000_000\n")
     with Service("serve", "--config", str(tmp_path / "little.toml")) as service, Listener(service) as listener:

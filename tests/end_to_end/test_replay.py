@@ -267,6 +267,7 @@ def test_a_film_whose_process_dies_is_told_and_can_be_asked_for_again(service):
     assert not list(service.data.glob(".film-*"))
 
 
+@pytest.mark.long
 def test_a_film_that_nobody_waits_for_is_given_up(service):
     shutil.copy(service.data / "recordings" / NAME, service.data / "recordings" / "third.lvm.gz")
     with connect(f"ws://127.0.0.1:{service.port}/api/recordings/third.lvm.gz/replay"):
@@ -296,6 +297,7 @@ def test_recordings_named_on_the_command_line_are_served_without_a_tool(tmp_path
         assert "Traceback" not in running.process.stderr.read()
 
 
+@pytest.mark.long
 @pytest.mark.recordings
 def test_a_recording_of_the_real_tool_plays_to_its_end(recordings):
     path = next(path for path in recordings if path.name.startswith("liver4Hz1"))

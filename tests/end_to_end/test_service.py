@@ -44,6 +44,7 @@ def test_a_grasp_goes_in_and_a_label_comes_out(service, tissue):
     assert all(grasp["peak_force_n"] == pytest.approx(1.55, rel=0.05) for grasp in grasps)
 
 
+@pytest.mark.long
 def test_a_withdrawn_name_is_told_and_the_lowest_limit_holds_again(tmp_path):
     """Liver and small bowel overlap: who names them too early, at 60 %, has to withdraw in every third grasp or so."""
     rash = (CONFIG_DIR / "graspwatch.toml").read_text()
@@ -233,6 +234,7 @@ def test_a_worker_that_keeps_dying_is_given_up_after_three_restarts():
         assert running.http.post("/api/stop").status_code == 200
 
 
+@pytest.mark.long
 def test_a_grasp_cut_short_by_stop_is_kept_and_starting_at_once_again_works(service):
     for _ in range(8):
         run = service.run(protocol="trapezoid_025hz", cycles=3, tissue="bladder")
@@ -256,6 +258,7 @@ def test_the_demonstration_ends_when_somebody_stops_it():
         assert running.http.get("/api/health").json()["detail"] == "idle"
 
 
+@pytest.mark.long
 def test_a_hung_acquisition_is_ended_and_replaced():
     with Service("serve") as running, Listener(running) as listener:
         run = running.run(protocol="trapezoid_025hz", cycles=20)

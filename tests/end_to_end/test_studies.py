@@ -212,6 +212,7 @@ def test_a_killed_process_is_told_as_failed(service, which, told):
     assert "memory" in failed["why"]
 
 
+@pytest.mark.long
 def test_studies_outlast_the_service_but_their_processes_do_not(service, watched, caplog):
     study, finished, folder = start(service, grasps=1000), watched[0][-1], service.data / "studies"
     processes = processes_at_work(service)

@@ -15,7 +15,8 @@ def board(tmp_path_factory):
         yield served
 
 
-@pytest.mark.parametrize("lost_s", [0.05, pytest.param(2.0, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("lost_s", [0.05, 2.0])
 def test_a_board_that_was_lost_comes_back_at_zero_and_faulted(board, lost_s, reactions):
     with Service("serve", "--tool", str(board.tool_file)) as service, Listener(service) as listener:
         run = service.run(**LONG)

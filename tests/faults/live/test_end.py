@@ -12,7 +12,9 @@ from websockets.sync.client import connect
 LONG = {"protocol": "trapezoid_025hz", "cycles": 20}
 
 
-@pytest.mark.parametrize("viewers", [0, 5], ids=["nobody watches", "viewers that never read"])
+@pytest.mark.parametrize(
+    "viewers", [pytest.param(0, id="nobody watches", marks=pytest.mark.long), pytest.param(5, id="who never read")]
+)
 def test_sigterm_brings_the_motor_to_zero_and_closes_the_files_within_two_seconds(viewers, tmp_path, reactions):
     with (
         ServedBoard(tmp_path) as board,

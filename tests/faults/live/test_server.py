@@ -111,7 +111,7 @@ def block_event_loop(pid):
     time.sleep(2.0)
 
 
-@pytest.mark.parametrize("hold_up", [stop_process, block_event_loop])
+@pytest.mark.parametrize("hold_up", [pytest.param(stop_process, marks=pytest.mark.long), block_event_loop])
 def test_a_server_that_is_held_up_for_two_seconds_leaves_the_tool_alone(service, board, hold_up):
     run = service.run(**LONG)
     board.wait_for_force()
