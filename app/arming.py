@@ -7,7 +7,7 @@ from acquisition import bus
 from acquisition.blocks import SampleBlock
 from acquisition.safety import MOVING, WATCHED, Safety
 from app.alarms import AlarmBook
-from app.commander import Commander
+from app.commander import ANSWER_S, Commander
 from app.supervisor import Supervisor
 from app.wire import Alarm, AlarmKind, Priority
 from config.errors import RefusedError
@@ -96,14 +96,25 @@ class Arming:
         """Somebody has seen an alarm. That of a fault unlatches it: the tool can be armed again.
 
         Raises:
-            RefusedError: there is no such alarm any more, or it is worse by now.
+            RefusedError: there is no such alarm any more, it is worse by now, or the fault is there again.
             ServiceError: the acquisition does not answer.
         """
         if self.safety is Safety.FAULTED and self._alarms.key_of(alarm_id) == FAULT:
             self._alarms.check(alarm_id, seen)
             await self._commander.send(bus.Acknowledge())
             self._supervisor.begin_with_fault("")
+            await self._until_unlatched()
         return self._alarms.acknowledge(alarm_id, seen, by)
+
+    async def _until_unlatched(self) -> None:
+        """Until the blocks say so as well: whoever is answered may start."""
+        try:
+            async with asyncio.timeout(ANSWER_S):
+                while self.safety is Safety.FAULTED:
+                    self._changed.clear()
+                    await self._changed.wait()
+        except TimeoutError:
+            raise RefusedError(f"The tool is at fault again: {self.why}. See its alarm.") from None
 
     def check_fault(self) -> None:
         """

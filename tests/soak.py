@@ -6,6 +6,7 @@ threshold, every recording can be read, and no sample is missing. Ends with 1 at
 """
 
 import argparse
+import contextlib
 import os
 import random
 import signal
@@ -92,14 +93,14 @@ def crowd(service: Service, board: ServedBoard) -> int:
                 client.post("/api/runs", content=b"{" * number)
 
     end_s = time.monotonic() + 2.0
-    viewers = [connect(service.live_url, max_size=None, max_queue=1, close_timeout=0.1) for _ in range(10)]
-    clients = [threading.Thread(target=ask, args=(number,)) for number in range(8)]
-    for client in clients:
-        client.start()
-    for client in clients:
-        client.join()
-    for viewer in viewers:
-        viewer.close()
+    with contextlib.ExitStack() as viewers:
+        for _ in range(10):
+            viewers.enter_context(connect(service.live_url, max_size=None, max_queue=1, close_timeout=0.1))
+        clients = [threading.Thread(target=ask, args=(number,)) for number in range(8)]
+        for client in clients:
+            client.start()
+        for client in clients:
+            client.join()
     return 0
 
 
