@@ -17,7 +17,8 @@ from acquisition.safety import IN_RUN
 from config.errors import ToolError
 from config.schema import Tool
 
-REALTIME_PRIORITY = 80
+REALTIME_PRIORITY = 70
+"""Less than the acquisition's: a guard that runs wild must not make it late."""
 LOOKS_EVERY_MS = 10
 SILENT_LOOKS = 6
 """So often in a row nothing came: 60 to 70 ms. Counted in looks, as a guard that was held up itself knows nothing."""
