@@ -139,11 +139,11 @@ class Supervisor:
         worker.deaths.append(time.monotonic())
         often = len(worker.deaths) > RESTARTS_A_MINUTE and worker.deaths[-1] - worker.deaths[0] < 60.0
         final = often or (process.exitcode == ToolError.exit_code and not worker.has_run)
-        worker.condition = Condition.FAULTED if final else Condition.STARTING
-        zeroing = None
+        worker.condition, zeroing = Condition.STARTING, None
         if worker.name == "acquisition" and process.exitcode != 0:
             zeroing = asyncio.create_task(self._zero_motor())
             await asyncio.wait({zeroing}, timeout=ZERO_FIRST_S)
+        worker.condition = Condition.FAULTED if final else Condition.STARTING
         if not self._ending:
             how = f"signal {-process.exitcode}" if process.exitcode < 0 else f"exit code {process.exitcode}"
             what = "it stays down: mend the cause and start the service again" if final else "it is being restarted"

@@ -93,7 +93,7 @@ def test_a_killed_recorder_loses_less_than_a_second_and_the_run_goes_on(service:
     with Listener(service) as listener:
         listener.listen(lambda: any("recorder" in m["text"] for m in listener.of("alarm")))
     assert service.finished(run["id"])["state"] == "finished"
-    parts = until(lambda: len(found := sorted(path.parent.glob(f"{run['id']}*"))) == 2 and found)
+    parts = until(lambda: len(found := sorted(path.parent.glob(f"{run['id']}*.mcap"))) == 2 and found)
     until(lambda: all(Container(part).complete for part in parts))  # the first was made whole by the next recorder
     first, second = read_run(path), read_run(path.with_name(f"{run['id']}-part2.mcap"))
     assert len(first.samples) > before - 1_000
