@@ -10,8 +10,9 @@ from acquisition import bus
 from config.errors import RefusedError, ServiceError
 
 ANSWER_S = 0.5
-LATE_S = 10.0
-"""So long a stop stays in the queue of a worker that is held up: it is obeyed when nobody waits for it any more."""
+MOST_LATE, LATE_S = 20, 10.0
+"""So many stops stay in the queue of a worker that is held up, and so long: one is obeyed when nobody waits for it
+any more."""
 
 
 class Commander:
@@ -32,7 +33,7 @@ class Commander:
         self._late.add(asked)
         asked.add_done_callback(self._forget)
         if not (await asyncio.wait({asked}, timeout=ANSWER_S))[0]:
-            if not isinstance(command, bus.Stop):
+            if not isinstance(command, bus.Stop) or len(self._late) > MOST_LATE:
                 asked.cancel()
             raise ServiceError("The acquisition worker does not answer. See the alarms, then try again.")
         answer = asked.result()
