@@ -85,7 +85,7 @@ def test_the_second_run_does_not_depend_on_the_first(service: Service) -> None:
 
 
 def test_a_killed_recorder_loses_less_than_a_second_and_the_run_goes_on(service: Service) -> None:
-    run = service.run(protocol="trapezoid_2hz", cycles=5, tissue="liver")
+    run = service.run(protocol="trapezoid_2hz", cycles=9, tissue="liver")
     path = file_of(service, run["id"])
     until(lambda: recording_state(service)["samples"] > 6_500)
     before = recording_state(service)["samples"]
