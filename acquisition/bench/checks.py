@@ -104,7 +104,7 @@ def clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> Finding:
     if late_ms[-1] > LATE_MS:
         return Finding(
             check, Outcome.FAIL, f"a block came {late_ms[-1]:.1f} ms late, and {LATE_MS:.0f} ms end a grasp: "
-            "close other programs, see docs/real-time.md.", figures,
+            "close other programs, and let this user have real-time priority.", figures,
         )  # fmt: skip
     text = f"{measured_hz:.2f} Hz; blocks late by {figures['late_99_ms']:.2f} ms at most in 99 of 100"
     return Finding(check, Outcome.PASS, text, figures)
@@ -132,8 +132,8 @@ def strain(rest: Signals, tool: Tool) -> Finding:
     elif not abs(mean_v - calibration.rest_offset_v) <= calibration.rest_tolerance_v:
         why = (
             f"{found}; the tool file expects {calibration.rest_offset_v:.3f} V within "
-            f"{calibration.rest_tolerance_v:.3f} V: open the jaws, balance the bridge, or tare anew "
-            "(`graspwatch calibrate tare`)."
+            f"{calibration.rest_tolerance_v:.3f} V: open the jaws, balance the bridge, or correct "
+            "`rest_offset_v` under [calibration]."
         )
     else:
         return Finding(check, Outcome.PASS, found, figures)
@@ -270,6 +270,6 @@ def encoder_scale(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> 
     if guess:
         text = f"{found}: it counts {guess} the pulses. Correct `encoder_counts_per_rev` or `encoder_gear_ratio`."
     else:
-        text = f"{found}: calibrate anew (`graspwatch calibrate stretch`), or look for a cable that slips."
+        text = f"{found}: correct `encoder_deg_per_volt`, or look for a cable that slips."
     return Finding(check, Outcome.FAIL, text, figures)
 

@@ -93,7 +93,7 @@ MISTAKES = {
         {"real": changed("noise", strain_sd_v=0.03)}, "strain gage at rest", "check the cable's screen",
     ),
     "another rest voltage": (
-        {"real": changed("calibration", rest_offset_v=0.5)}, "strain gage at rest", "calibrate tare",
+        {"real": changed("calibration", rest_offset_v=0.5)}, "strain gage at rest", "correct `rest_offset_v`",
     ),
     "motor command not read back": (
         {"mistake": Mistake.READBACK_OPEN}, "motor command read back", "ai2 stays at zero: it is not connected to ao0",
