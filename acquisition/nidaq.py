@@ -26,7 +26,7 @@ from config.schema import Tool
 # DaqBaseError holds a missing driver, a failing board and a lost server; OSError comes from a driver that cannot load.
 _BOARD_ERRORS = (DaqBaseError, OSError)
 
-_PATIENCE_S = 0.008  # beyond the duration of a block: without samples nobody knows the force
+PATIENCE_S = 0.008  # beyond the duration of a block: without samples nobody knows the force
 _WRITE_TIMEOUT_S = 1.0
 _CHANNEL = (("grpc.max_reconnect_backoff_ms", 200), ("grpc.initial_reconnect_backoff_ms", 50))
 
@@ -70,7 +70,7 @@ class NidaqTool:
         self._motor: AnalogSingleChannelWriter | None = None
         self._next_tick = 0
         self._block_samples = tool.board.block_samples
-        self._timeout_s = self._block_samples / tool.board.sample_rate_hz + _PATIENCE_S
+        self._timeout_s = self._block_samples / tool.board.sample_rate_hz + PATIENCE_S
         self._analog_v = np.empty((4, self._block_samples))
         self._encoder_deg = np.empty(self._block_samples)
 

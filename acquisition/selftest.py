@@ -15,6 +15,12 @@ NOISE_SHARE = (0.1, 5.0)
 STILL_DEG = 1.0
 
 
+def sound_noise_v(tool: Tool) -> tuple[float, float]:
+    """The least and the most that a sound strain gage scatters by at rest, V."""
+    least, most = NOISE_SHARE
+    return least * tool.noise.strain_sd_v, most * tool.noise.strain_sd_v
+
+
 class SelfTest:
     """Keeps the last samples, and judges them when it is asked to."""
 
@@ -48,12 +54,12 @@ class SelfTest:
         if not (np.isfinite(strain_v).all() and np.isfinite(samples["encoder_deg"]).all()):
             return "a sensor gives no number: check its wiring"
         rest_v, calibration = float(np.median(strain_v)), tool.calibration
-        if not abs(rest_v - calibration.rest_offset_v) <= calibration.rest_tolerance_v:
+        if not calibration.is_rest(rest_v):
             return (
                 f"the strain gage rests at {rest_v:.3f} V, the tool file expects {calibration.rest_offset_v:.3f} V "
                 f"within {calibration.rest_tolerance_v:.3f} V: open the jaws, or calibrate anew"
             )
-        noise_v, least, most = float(strain_v.std()), *(share * tool.noise.strain_sd_v for share in NOISE_SHARE)
+        noise_v, (least, most) = float(strain_v.std()), sound_noise_v(tool)
         if not least <= noise_v <= most:
             return (
                 f"the strain gage scatters by {noise_v * 1e3:.2f} mV at rest, a sound one by {least * 1e3:.2f} to "

@@ -76,12 +76,15 @@ class Arming:
 
     async def _while_testing(self) -> None:
         """The worker has obeyed; its blocks from now on tell how that goes."""
-        self._changed.clear()
         if self.safety is not Safety.ARMED:
-            await self._changed.wait()
+            await self._change()
         while self.safety is Safety.TESTING:
-            self._changed.clear()
-            await self._changed.wait()
+            await self._change()
+
+    async def _change(self) -> None:
+        """The next one."""
+        self._changed.clear()
+        await self._changed.wait()
 
     async def disarm(self, by: str | None) -> None:
         """Motor to zero; nothing starts before the tool is armed again.
@@ -111,8 +114,7 @@ class Arming:
         try:
             async with asyncio.timeout(ANSWER_S):
                 while self.safety is Safety.FAULTED:
-                    self._changed.clear()
-                    await self._changed.wait()
+                    await self._change()
         except TimeoutError:
             raise RefusedError(f"The tool is at fault again: {self.why}. See its alarm.") from None
 

@@ -28,6 +28,7 @@ from app.options import (
     SeedOption,
     TlsCertOption,
     TlsKeyOption,
+    ToolOption,
     data_folder,
     errors,
 )
@@ -66,9 +67,7 @@ def version(
 
 @app.command()
 def serve(
-    tool: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="`simulated`, `nidaq` (a real NI board), or a tool file.")
-    ] = None,
+    tool: ToolOption = None,
     tissue: Annotated[str | None, typer.Option(help="What the simulated grasper holds first.")] = None,
     seed: SeedOption = 0,
     host: Annotated[str | None, typer.Option(help="Address to listen on; 0.0.0.0 for the whole network.")] = None,

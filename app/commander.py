@@ -20,7 +20,7 @@ class Commander:
 
     def __init__(self, context: zmq.asyncio.Context, address: str) -> None:
         self._context, self._address = context, address
-        self._late: set[asyncio.Task[bus.Answer]] = set()
+        self._pending: set[asyncio.Task[bus.Answer]] = set()
 
     async def send(self, command: bus.Command) -> bool:
         """Returns whether the command changed anything.
@@ -30,10 +30,10 @@ class Commander:
             ServiceError: nobody answers.
         """
         asked = asyncio.create_task(self._ask(command))
-        self._late.add(asked)
+        self._pending.add(asked)
         asked.add_done_callback(self._forget)
         if not (await asyncio.wait({asked}, timeout=ANSWER_S))[0]:
-            if not isinstance(command, bus.Stop) or len(self._late) > MOST_LATE:
+            if not isinstance(command, bus.Stop) or len(self._pending) > MOST_LATE:
                 asked.cancel()
             raise ServiceError("The acquisition worker does not answer. See the alarms, then try again.")
         answer = asked.result()
@@ -42,7 +42,7 @@ class Commander:
         return answer.effect
 
     def _forget(self, asked: asyncio.Task[bus.Answer]) -> None:
-        self._late.discard(asked)
+        self._pending.discard(asked)
         if not asked.cancelled():
             asked.exception()  # of a stop that was late for good, nobody wants to know any more
 
@@ -59,6 +59,6 @@ class Commander:
 
     async def aclose(self) -> None:
         """Give up what nobody has answered yet."""
-        for asked in self._late:
+        for asked in self._pending:
             asked.cancel()
-        await asyncio.gather(*self._late, return_exceptions=True)
+        await asyncio.gather(*self._pending, return_exceptions=True)

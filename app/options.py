@@ -17,6 +17,10 @@ errors = Console(stderr=True, highlight=False)
 LibraryOption = Annotated[
     str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
 ]
+ToolOption = Annotated[
+    str | None,
+    typer.Option("--tool", metavar="NAME|FILE", help="`simulated`, `nidaq` (a real NI board), or a tool file."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens and noise; the same seed gives the same grasps.")]
 DataOption = Annotated[

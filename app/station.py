@@ -5,7 +5,7 @@ import contextlib
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from typing import Any
 
@@ -211,18 +211,13 @@ class Station:
         if self.runs.current:
             raise RefusedError(f"Run {self.runs.current.id} is under way. Stop it first.")
 
-    async def stop_run(self, why: str, by: str | None = None) -> bool:
-        """Motor to zero at once; returns whether a run was stopped. Never refuses.
+    async def stop_run(self, why: str, who: Callable[[], Awaitable[str | None]] | None = None) -> bool:
+        """Motor to zero at once; returns whether a run was stopped. Never refuses. `who` asked for it is found out
+        afterwards.
 
         Raises:
             ServiceError: the acquisition does not answer; its motor is zeroed by the supervisor when it has died.
         """
-        effect = await self.zero_motor(why)
-        self.tell_stopped(why, by)
-        return effect
-
-    async def zero_motor(self, why: str) -> bool:
-        """As `stop_run`, for who has to find out first on whose behalf he can tell it."""
         if not self.estimator_ready.is_set():
             return False  # there is no motor, or nothing that could move it yet
         self._stops += 1
@@ -230,10 +225,8 @@ class Station:
         current = self.runs.current
         if effect and current:
             self._end_run(current.id, RunState.STOPPED, why)
+        self.tell_event(f"Stopped: the motor is at zero ({why})", JournalKind.RUN, await who() if who else None)
         return effect
-
-    def tell_stopped(self, why: str, by: str | None) -> None:
-        self.tell_event(f"Stopped: the motor is at zero ({why})", JournalKind.RUN, by)
 
     # --- what the workers say ----------------------------------------------------------------------------------------
 
@@ -499,6 +492,14 @@ class Station:
 
     def tell_state(self) -> None:
         self.hub.broadcast(self.state())
+
+    def give_back_control(self, name: str) -> bool:
+        """False: he did not have it."""
+        if not self.control.release(name):
+            return False
+        self.tell_event("Control given back", JournalKind.ACCESS, name)
+        self.tell_state()
+        return True
 
     def _control(self) -> str | None:
         if self.control.holder:

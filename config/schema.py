@@ -84,6 +84,10 @@ class Calibration(Model):
     date: str
     person: str
 
+    def is_rest(self, strain_v: float) -> bool:
+        """Whether the gage may read that at rest; False for NaN."""
+        return abs(strain_v - self.rest_offset_v) <= self.rest_tolerance_v
+
     @property
     def encoder_resolution_deg(self) -> float:
         """Degrees after the gearbox for one quadrature count."""

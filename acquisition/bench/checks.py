@@ -7,12 +7,12 @@ from enum import StrEnum
 import numpy as np
 
 from acquisition.contact import COMMAND_ON_V
-from acquisition.nidaq import BoardFacts
-from acquisition.selftest import NOISE_SHARE, STILL_DEG
+from acquisition.nidaq import PATIENCE_S, BoardFacts
+from acquisition.selftest import STILL_DEG, sound_noise_v
 from config.schema import Tool
 
 RATE_SHARE = 1e-3  # crystals are a hundred times better; a clock of another source is not
-LATE_MS = 8.0  # that a read waits beyond its block
+LATE_MS = 1e3 * PATIENCE_S
 RAIL_SHARE = 0.99
 NEVER_V = 0.02  # a line that stays within this of zero has nothing on it
 MAINS_HZ = (50.0, 60.0)
@@ -113,7 +113,7 @@ def clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> Finding:
 def strain(rest: Signals, tool: Tool) -> Finding:
     """The strain gage with the motor at zero and the jaws open."""
     check, calibration, volts = "strain gage at rest", tool.calibration, rest.strain_v
-    mean_v, sd_v = float(volts.mean()), float(volts.std())
+    mean_v, sd_v, (least_v, most_v) = float(volts.mean()), float(volts.std()), sound_noise_v(tool)
     figures = {"rest_v": mean_v, "noise_v": sd_v}
     found = f"it reads {mean_v:.3f} V and scatters by {sd_v * 1e3:.1f} mV"
     if other := _swapped_with(rest, tool):
@@ -123,13 +123,16 @@ def strain(rest: Signals, tool: Tool) -> Finding:
             f"{found}, the end of its range: look for a broken wire, an amplifier without power, or an "
             "`analog_range_v` that is too small."
         )
-    elif (hum := _mains(volts, tool.board.sample_rate_hz)) > MAINS_SHARE and sd_v > NOISE_SHARE[1] * _noise(tool):
+    elif (hum := _mains(volts, tool.board.sample_rate_hz)) > MAINS_SHARE and sd_v > most_v:
         why = f"{found}, {hum:.0%} of it mains hum: nothing drives {tool.channels.strain}. Connect the amplifier."
-    elif sd_v > NOISE_SHARE[1] * _noise(tool):
-        why = f"{found}, a sound one by {_noise(tool) * 1e3:.1f} mV: check the cable's screen and the amplifier."
-    elif sd_v < NOISE_SHARE[0] * _noise(tool):
+    elif sd_v > most_v:
+        why = (
+            f"{found}, a sound one by {tool.noise.strain_sd_v * 1e3:.1f} mV: check the cable's screen and "
+            "the amplifier."
+        )
+    elif sd_v < least_v:
         why = f"{found}, which no amplifier does: check that {tool.channels.strain} is the strain gage's channel."
-    elif not abs(mean_v - calibration.rest_offset_v) <= calibration.rest_tolerance_v:
+    elif not calibration.is_rest(mean_v):
         why = (
             f"{found}; the tool file expects {calibration.rest_offset_v:.3f} V within "
             f"{calibration.rest_tolerance_v:.3f} V: open the jaws, balance the bridge, or correct "
@@ -138,10 +141,6 @@ def strain(rest: Signals, tool: Tool) -> Finding:
     else:
         return Finding(check, Outcome.PASS, found, figures)
     return Finding(check, Outcome.FAIL, why, figures)
-
-
-def _noise(tool: Tool) -> float:
-    return tool.noise.strain_sd_v
 
 
 def _swapped_with(rest: Signals, tool: Tool) -> str | None:
@@ -158,10 +157,8 @@ def _swapped_with(rest: Signals, tool: Tool) -> str | None:
 
 
 def _is_like_strain(volts: np.ndarray, tool: Tool) -> bool:
-    least, most = (share * _noise(tool) for share in NOISE_SHARE)
-    calibration = tool.calibration
-    is_there = abs(float(volts.mean()) - calibration.rest_offset_v) <= calibration.rest_tolerance_v
-    return is_there and least <= float(volts.std()) <= most
+    least_v, most_v = sound_noise_v(tool)
+    return tool.calibration.is_rest(float(volts.mean())) and least_v <= float(volts.std()) <= most_v
 
 
 def _mains(volts: np.ndarray, rate_hz: float) -> float:

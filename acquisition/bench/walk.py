@@ -22,7 +22,7 @@ MOVE_V = 0.5
 """0.8 N on the Smart Tool, a third of the lowest injury threshold."""
 RISE_V = 0.01  # a block
 CLOSING_S = 3.0  # for the jaws to shut
-STILL_BLOCKS, STILL_DEG = 40, 0.1
+STANDS_BLOCKS, STANDS_DEG = 40, 0.1
 LEVELS_V = (0.5, 0.4, 0.3, 0.2, 0.1)
 LEVEL_BLOCKS, SETTLED_BLOCKS = 40, 16
 MOST_STRAIN_V = 0.4
@@ -133,9 +133,9 @@ class Walk:
             command_v = min(command_v + RISE_V, MOVE_V)
             source.write_command(command_v)
             now_deg = float(self._read(source).encoder_deg[-1])
-            still = still + 1 if command_v == MOVE_V and abs(now_deg - last_deg) < STILL_DEG else 0
+            still = still + 1 if command_v == MOVE_V and abs(now_deg - last_deg) < STANDS_DEG else 0
             last_deg = now_deg
-            if still >= STILL_BLOCKS:
+            if still >= STANDS_BLOCKS:
                 break
         return last_deg
 

@@ -1,4 +1,7 @@
-"""A grasper whose wires are not where they should be: a plant between the simulated board and the simulated grasper."""
+"""Wires that are not where they should be: a plant between the simulated board and the simulated grasper.
+
+A sensor that never worked is one of `FaultySensors` that broke at the first sample.
+"""
 
 import math
 from enum import StrEnum
@@ -6,15 +9,10 @@ from enum import StrEnum
 from acquisition.simulation.grasper import TOUCHED_V, SimulatedGrasper
 
 MAINS_HZ, HUM_V = 50.0, 0.4
-RAIL_V = 10.0
 
 
 class Mistake(StrEnum):
-    ENCODER_REVERSED = "encoder: A and B exchanged"
-    ENCODER_OPEN = "encoder: not connected"
     STRAIN_FLOATS = "strain gage: nothing drives the input"
-    STRAIN_AT_RAIL = "strain gage: the amplifier is at its rail"
-    STRAIN_SHORTED = "strain gage: the input is shorted to ground"
     READBACK_OPEN = "motor command: not read back"
     READBACK_HALVED = "motor command: read back through a divider"
     TOUCH_STUCK = "touch sensors: stuck at contact"
@@ -36,16 +34,8 @@ class MiswiredGrasper:
         strain_v, encoder_deg, *touch_v = self._grasper.step(command_v)
         self._samples += 1
         match self._mistake:
-            case Mistake.ENCODER_REVERSED:
-                encoder_deg = -encoder_deg
-            case Mistake.ENCODER_OPEN:
-                encoder_deg = 0.0
             case Mistake.STRAIN_FLOATS:
                 strain_v += HUM_V * math.sin(2 * math.pi * MAINS_HZ * self._samples / 1000.0)
-            case Mistake.STRAIN_AT_RAIL:
-                strain_v = RAIL_V
-            case Mistake.STRAIN_SHORTED:
-                strain_v = 0.0
             case Mistake.TOUCH_STUCK:
                 touch_v = [TOUCHED_V, TOUCHED_V]
         return strain_v, encoder_deg, touch_v[0], touch_v[1]

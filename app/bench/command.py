@@ -2,13 +2,13 @@
 
 import json
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
-from app.options import ConfigOption, JsonOption, errors
+from app.options import ConfigOption, JsonOption, ToolOption, errors
 from config.errors import ConfigurationError, ToolError
 from config.load import load_library, load_settings, load_tool
 from config.schema import ToolKind
@@ -18,9 +18,7 @@ QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near
 
 
 def check(
-    tool: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="`simulated`, `nidaq` (a real NI board), or a tool file.")
-    ] = None,
+    tool: ToolOption = None,
     move: Annotated[
         bool | None, typer.Option("--move/--no-move", help="Close the empty jaws gently; else you are asked.")
     ] = None,
@@ -36,7 +34,7 @@ def check(
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to check.")
 
-    from acquisition.bench.checks import Finding, Outcome  # takes a second: not before the request is known to be sound
+    from acquisition.bench.checks import Outcome  # takes a second: not before the request is known to be sound
     from acquisition.process import ask_for_realtime
     from acquisition.tools import open_bench
     from acquisition.worker import REALTIME_PRIORITY
@@ -50,13 +48,14 @@ def check(
     for finding in open_bench(chosen, load_library(settings.library)).findings(may_move):
         findings.append(finding)
         if not as_json and finding.outcome is not Outcome.NOT_DONE:
-            console.print(_line(asdict(finding)), soft_wrap=True)
+            console.print(_line(finding.outcome, finding.check, finding.text), soft_wrap=True)
     not_done = [finding for finding in findings if finding.outcome is Outcome.NOT_DONE]
     if as_json:
         print(json.dumps({"tool": chosen.name, "checks": [asdict(finding) for finding in findings]}, indent=2))
-    for text in dict.fromkeys(finding.text for finding in not_done if not as_json):
-        names = ", ".join(finding.check for finding in not_done if finding.text == text)
-        console.print(_line(asdict(Finding(names, Outcome.NOT_DONE, text))), soft_wrap=True)
+    else:
+        for text in dict.fromkeys(finding.text for finding in not_done):
+            names = ", ".join(finding.check for finding in not_done if finding.text == text)
+            console.print(_line(Outcome.NOT_DONE, names, text), soft_wrap=True)
     failed = [finding.check for finding in findings if finding.outcome is Outcome.FAIL]
     if failed:
         raise ToolError(f"{chosen.title} is not ready: {', '.join(failed)}. Do what stands beside, then check again.")
@@ -64,6 +63,5 @@ def check(
         console.print(f"{chosen.title}: all is well" + (f"; {len(not_done)} checks not done." if not_done else "."))
 
 
-def _line(finding: dict[str, Any]) -> str:
-    outcome = str(finding["outcome"])
-    return f"[{STYLES[outcome]}]{outcome:<8}[/] {finding['check']}: {escape(finding['text'])}"
+def _line(outcome: str, check: str, text: str) -> str:
+    return f"[{STYLES[outcome]}]{outcome:<8}[/] {check}: {escape(text)}"

@@ -174,8 +174,8 @@ class Guard:
                 self.note(f"{entry.name} has a token ({entry.role.value})")
             elif entry.revoked_at and not known[entry.sha256].revoked_at:
                 self.note(f"The token of {entry.name} ({entry.role.value}) was taken back")
-                if self._station and self._station.control.release(entry.name):
-                    self._station.tell_event("Control given back", JournalKind.ACCESS, entry.name)
+                if self._station:
+                    self._station.give_back_control(entry.name)
         if self._station and self.people.fault:
             self._station.alarms.raise_technical("people", Priority.MEDIUM, self.people.fault)
         elif self._station:

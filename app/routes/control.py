@@ -61,10 +61,7 @@ async def take(request: Request, wanted: Annotated[ControlRequest, Body()]) -> C
 async def give_back(request: Request) -> ControlInfo:
     """Give control back. Who does not have it changes nothing, unless somebody else does."""
     name, station = _check_needed(request), _station(request)
-    if station.control.release(name):
-        station.tell_event("Control given back", JournalKind.ACCESS, name)
-        station.tell_state()
-    elif station.control.holder:
+    if not station.give_back_control(name) and station.control.holder:
         raise ProblemError(HTTPStatus.CONFLICT, f"{station.control.holder} has control, and only he can give it back.")
     return await control(request)
 

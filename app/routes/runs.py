@@ -196,15 +196,14 @@ async def stop(request: Request) -> StopAnswer:
 
 async def _stop(request: Request) -> StopAnswer:
     """The motor first; then whatever stands in the request is read."""
-    station, why = station_of(request), "asked to stop"
+    station = station_of(request)
     station.demo = None
     before = station.runs.current
     try:
-        stopped = await station.zero_motor(why)
+        stopped = await station.stop_run("asked to stop", lambda: _who_stops(request))
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
-    station.tell_stopped(why, await _who_stops(request))
     run = station.runs.get(before.id) if before else None
     station.tell_state()
     return StopAnswer(stopped=stopped, run=run)

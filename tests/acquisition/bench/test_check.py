@@ -7,6 +7,7 @@ from acquisition.bench.checks import Outcome
 from acquisition.bench.walk import MOVE_V, Walk
 from acquisition.nidaq import NidaqTool
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
+from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import in_process_options
 from acquisition.simulation.wiring import Mistake, MiswiredGrasper
@@ -24,11 +25,15 @@ def changed(part: str, **values: object) -> Tool:
 class Bench:
     """`real` is the tool as it is wired, `file` what its file says."""
 
-    def __init__(self, file: Tool = TOOL, real: Tool = TOOL, mistake: Mistake | None = None) -> None:
+    def __init__(
+        self, file: Tool = TOOL, real: Tool = TOOL, mistake: Mistake | None = None, fault: SensorFault | None = None
+    ) -> None:
         self.grasper = SimulatedGrasper(real, LIBRARY, "liver", seed=1)
         self.grasper.empty = True
-        self.plant = MiswiredGrasper(self.grasper, mistake) if mistake else self.grasper
-        self.board = SimulatedBoard(real, self.plant, VirtualClock())
+        plant = MiswiredGrasper(self.grasper, mistake) if mistake else FaultySensors(self.grasper, real)
+        if fault:
+            plant.break_at(fault, 0)
+        self.board = SimulatedBoard(real, plant, VirtualClock())
         self.options = in_process_options(self.board)
         self.walk = Walk(file, self.options, self.board.clock.now_ns)
 
@@ -69,10 +74,10 @@ MISTAKES = {
         "strain gage at rest", "touch sensor 1 (ai0) looks like a strain gage: the two are swapped",
     ),
     "encoder reversed": (
-        {"mistake": Mistake.ENCODER_REVERSED}, "encoder direction", "backwards: exchange A and B of ctr0",
+        {"fault": SensorFault.ENCODER_REVERSED}, "encoder direction", "backwards: exchange A and B of ctr0",
     ),
     "encoder not connected": (
-        {"mistake": Mistake.ENCODER_OPEN}, "encoder direction", "check the cable of ctr0",
+        {"fault": SensorFault.ENCODER_STUCK}, "encoder direction", "check the cable of ctr0",
     ),
     "encoder of half the counts": (
         {"real": changed("calibration", encoder_counts_per_rev=250)}, "encoder scale", "it counts half the pulses",
@@ -84,10 +89,10 @@ MISTAKES = {
         {"mistake": Mistake.STRAIN_FLOATS}, "strain gage at rest", "mains hum: nothing drives ai0",
     ),
     "strain amplifier at its rail": (
-        {"mistake": Mistake.STRAIN_AT_RAIL}, "strain gage at rest", "the end of its range: look for a broken wire",
+        {"fault": SensorFault.STRAIN_SATURATED}, "strain gage at rest", "the end of its range: look for a broken wire",
     ),
     "input shorted": (
-        {"mistake": Mistake.STRAIN_SHORTED}, "strain gage at rest", "which no amplifier does",
+        {"fault": SensorFault.STRAIN_DROP_OUT}, "strain gage at rest", "which no amplifier does",
     ),
     "noisy cable": (
         {"real": changed("noise", strain_sd_v=0.03)}, "strain gage at rest", "check the cable's screen",
