@@ -6,6 +6,7 @@ import gc
 import os
 import resource
 import signal
+from collections.abc import Iterator
 from types import FrameType
 
 PR_SET_PDEATHSIG = 1
@@ -60,9 +61,24 @@ def ask_for_realtime(priority: int) -> bool:
     """
     resource.setrlimit(resource.RLIMIT_RTTIME, (MOST_AT_A_STRETCH_US, MOST_AT_A_STRETCH_US))
     try:
-        for thread in os.listdir("/proc/self/task"):
-            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
-                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
+        _schedule(os.SCHED_FIFO, priority)
     except PermissionError:
         return False
     return True
+
+
+@contextlib.contextmanager
+def at_realtime(priority: int) -> Iterator[None]:
+    """Meanwhile only, for a program that does other things as well."""
+    ask_for_realtime(priority)
+    try:
+        yield
+    finally:
+        _schedule(os.SCHED_OTHER, 0)
+
+
+def _schedule(policy: int, priority: int) -> None:
+    """Every thread of this process."""
+    for thread in os.listdir("/proc/self/task"):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            os.sched_setscheduler(int(thread), policy, os.sched_param(priority))

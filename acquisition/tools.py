@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 import nidaqmx
@@ -28,13 +29,13 @@ def open_tool(
     return NidaqTool(tool, options, clock), grasper
 
 
-def open_bench(tool: Tool, library: TissueLibrary) -> Walk:
-    """The tool to be checked; the jaws of a simulated one are empty."""
+def open_bench(tool: Tool, library: TissueLibrary, reading: AbstractContextManager[None]) -> Walk:
+    """The tool to be checked, see `Walk`; the jaws of a simulated one are empty."""
     if tool.kind is ToolKind.NIDAQ:
-        return Walk(tool, session_options(tool), time.monotonic_ns)
+        return Walk(tool, session_options(tool), time.monotonic_ns, reading)
     options, clock, grasper = _simulated(tool, library, next(iter(library.tissues)), seed=0, virtual=False)
     grasper.empty = True
-    return Walk(tool, options, clock)
+    return Walk(tool, options, clock, reading)
 
 
 def _simulated(

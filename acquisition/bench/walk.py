@@ -34,10 +34,17 @@ AFTER = "motor at zero afterwards"
 
 
 class Walk:
-    """One tool. `options` leads to a simulated board; without it the tool file says how the board is reached."""
+    """One tool. `options` leads to a simulated board; without it the tool file says how the board is reached.
 
-    def __init__(self, tool: Tool, options: nidaqmx.GrpcSessionOptions | None, clock: Callable[[], int]) -> None:
+    `reading` is entered once, while the tool at rest is read: as promptly as it will be read in earnest.
+    """
+
+    def __init__(
+        self, tool: Tool, options: nidaqmx.GrpcSessionOptions | None, clock: Callable[[], int],
+        reading: contextlib.AbstractContextManager[None] | None = None,
+    ) -> None:  # fmt: skip
         self._tool, self._options, self._clock = tool, options, clock
+        self._reading = reading or contextlib.nullcontext()
         self._rest_v = 0.0
 
     def findings(self, may_move: Callable[[], bool]) -> Iterator[Finding]:
@@ -75,7 +82,8 @@ class Walk:
 
     def _running(self, source: NidaqTool, may_move: Callable[[], bool]) -> Iterator[Finding]:
         tool, failed = self._tool, []
-        blocks = [source.read_block() for _ in range(self._blocks_in(REST_S))]
+        with self._reading:
+            blocks = [source.read_block() for _ in range(self._blocks_in(REST_S))]
         ticks = np.array([block.first_tick + len(block) for block in blocks])
         rest = _joined(blocks)
         for finding in (

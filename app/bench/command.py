@@ -35,7 +35,7 @@ def check(
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to check.")
 
     from acquisition.bench.checks import Outcome  # takes a second: not before the request is known to be sound
-    from acquisition.process import ask_for_realtime
+    from acquisition.process import at_realtime
     from acquisition.tools import open_bench
     from acquisition.worker import REALTIME_PRIORITY
 
@@ -43,9 +43,9 @@ def check(
         is_asked = move is None and errors.is_terminal and not as_json
         return typer.confirm(QUESTION, err=True) if is_asked else bool(move)
 
-    ask_for_realtime(REALTIME_PRIORITY)  # the clock is judged as the worker will read it
+    reading = at_realtime(REALTIME_PRIORITY)  # as the worker will
     console, findings = Console(highlight=False), []
-    for finding in open_bench(chosen, load_library(settings.library)).findings(may_move):
+    for finding in open_bench(chosen, load_library(settings.library), reading).findings(may_move):
         findings.append(finding)
         if not as_json and finding.outcome is not Outcome.NOT_DONE:
             console.print(_line(finding.outcome, finding.check, finding.text), soft_wrap=True)
