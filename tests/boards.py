@@ -1,5 +1,6 @@
 """A simulated board in a process of its own over TCP: like the real one it outlives whoever uses it."""
 
+import ctypes.util
 import multiprocessing
 import time
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import serve_tcp
 from config.load import CONFIG_DIR, load_library, load_tool
 
+HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"))  # that of a real board
 REALTIME_PRIORITY = 90  # a real board is late for nobody
 
 

@@ -31,6 +31,7 @@ from websockets.sync.client import connect
 sys.path.insert(1, str(Path(__file__).parent))  # the tests' own helpers
 
 from boards import ServedBoard
+from sabotage import SABOTEUR, SIGNALS
 from service import Service, until
 
 from acquisition.recordings.container import Container
@@ -42,9 +43,7 @@ from config.load import load_library
 TISSUE = "bladder"
 LOWEST_N = load_library("porcine").lowest_threshold_n
 GRASPS = {"protocol": "trapezoid_2hz", "cycles": 200}
-SABOTEUR = Path(__file__).parent / "faults/live/saboteur"
 STRIKES_A_SERVICE = 3  # a worker may die only three times a minute
-HOW = {"killed": signal.SIGKILL, "stopped": signal.SIGSTOP, "fails": signal.SIGUSR1, "takes all memory": signal.SIGUSR2}
 WORKER_MS, HOG_MS, STOP_MS, SIGTERM_S = 100.0, 2000.0, 500.0, 2.0
 LIVE_SIGNAL_MS, ENCODER_MS = 20.0, 1500.0
 """A lost signal takes 15 ms on the board's clock; the rest is for TCP and a machine that does other things. An encoder
@@ -127,10 +126,12 @@ def stop(service: Service, board: ServedBoard) -> int:
 
 def strikes() -> dict[str, Strike]:
     """All that can happen, by name."""
-    found = {f"acquisition {how}": Strike(worker("acquisition", HOW[how]), Then.FAULT, WORKER_MS) for how in HOW}
-    found["acquisition takes all memory"] = Strike(worker("acquisition", signal.SIGUSR2), Then.FAULT, HOG_MS)
-    for name in ("estimator", "recorder", "guard"):
-        found |= {f"{name} {how}": Strike(worker(name, HOW[how]), Then.GOES_ON) for how in HOW}
+    found: dict[str, Strike] = {}
+    for how, number in SIGNALS.items():
+        within_ms = HOG_MS if how == "memory hog" else WORKER_MS
+        found[f"acquisition: {how}"] = Strike(worker("acquisition", number), Then.FAULT, within_ms)
+        for name in ("estimator", "recorder", "guard"):
+            found[f"{name}: {how}"] = Strike(worker(name, number), Then.GOES_ON)
     fatal = dict.fromkeys(SensorFault, Then.FAULT) | {
         SensorFault.STRAIN_SPIKE: Then.GOES_ON, SensorFault.ENCODER_SLIPS: Then.EITHER,
         SensorFault.ENCODER_REVERSED: Then.EITHER,

@@ -1,12 +1,12 @@
 """The driver over the simulated board: what reaches the rest of the program, and where the motor is left."""
 
-import ctypes.util
 import time
 from contextlib import suppress
 
 import nidaqmx
 import numpy as np
 import pytest
+from boards import HAS_DRIVER
 from grpc import insecure_channel
 from nidaqmx.constants import AcquisitionType, TriggerType
 from nidaqmx.errors import DaqError
@@ -21,7 +21,6 @@ from config.load import load_tool
 
 TOOL = load_tool("simulated")
 COUNT_DEG = TOOL.calibration.encoder_resolution_deg
-HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"))
 
 
 class Ramp:

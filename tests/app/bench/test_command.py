@@ -1,15 +1,14 @@
 """`graspwatch check`, as somebody at the bench runs it: the real program on the simulated board, in real time."""
 
-import ctypes.util
 import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from boards import HAS_DRIVER
 
 GRASPWATCH = Path(sys.executable).parent / "graspwatch"
-HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"))
 MOVING = {"motor command read back", "round trip", "encoder direction", "encoder scale"}
 
 

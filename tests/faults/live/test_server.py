@@ -6,15 +6,14 @@ import os
 import signal
 import threading
 import time
-from pathlib import Path
 
 import httpx
 import pytest
 from boards import ServedBoard
+from sabotage import SABOTEUR
 from service import Listener, Service, until
 from websockets.asyncio.client import connect
 
-SABOTEUR = Path(__file__).with_name("saboteur")
 VIEWERS, WHO_NEVER_READ = 100, 10
 STORM_REQUESTS, STORM_CLIENTS = 500, 20
 STOP_S = 0.5

@@ -1,13 +1,12 @@
 """Workers that die, hang, fail or take all memory, in the midst of a grasp on a board that outlives them."""
 
 import os
-import signal
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 from boards import ServedBoard
+from sabotage import SABOTEUR, SIGNALS
 from service import Listener, Service, until
 
 from acquisition.recordings.container import Container
@@ -20,14 +19,7 @@ def long(*values):
     return pytest.param(*values, marks=pytest.mark.long)
 
 
-SABOTEUR = Path(__file__).with_name("saboteur")
 ZERO_MS, ALARM_S = 100.0, 0.5
-SIGNALS = {
-    "kill -9": signal.SIGKILL,
-    "stopped": signal.SIGSTOP,
-    "exception": signal.SIGUSR1,
-    "memory hog": signal.SIGUSR2,
-}
 SLOW = {("recorder", "stopped"), ("recorder", "memory hog"), ("guard", "memory hog")}
 """A disk may take its time: a recorder that hangs is told after two seconds; what eats memory is dead once it has."""
 LONG = {"protocol": "trapezoid_025hz", "cycles": 20}
