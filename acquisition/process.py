@@ -13,7 +13,7 @@ PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 MOST_MEMORY_BYTES = 2 << 30
 """Of one worker, four times what the largest takes: one that wants more ends, and not the machine's others with it."""
-MOST_AT_A_STRETCH_US = 300_000
+MOST_AT_A_STRETCH_US = 150_000
 """Of a core, at real-time priority, without waiting for anything; a block takes 1,000."""
 
 

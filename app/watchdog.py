@@ -9,8 +9,9 @@ from app.wire import Priority
 
 SILENCE_S = 0.25
 HUNG_S = 2.0  # a worker silent for longer is killed and replaced
-RECORDER_SILENCE_S, RECORDER_HUNG_S = 2.0, 10.0  # a disk may take its time
-GUARD_SILENCE_S, GUARD_HUNG_S = 0.4, 2.0
+SAYER_SILENCE_S = 0.35
+RECORDER_HUNG_S = 10.0  # a disk may take its time
+GUARD_HUNG_S = 2.0
 
 
 class Watchdog:
@@ -56,20 +57,20 @@ class Watchdog:
         elif estimating and alive["estimator"]:
             self._alarms.end("estimates")
             self._alarms.end("estimator")
-        self._watch_sayer("recorder", RECORDER_SILENCE_S, RECORDER_HUNG_S, "nothing is recorded")
-        self._watch_sayer("guard", GUARD_SILENCE_S, GUARD_HUNG_S, "a hung acquisition would be noticed late")
+        self._watch_sayer("recorder", RECORDER_HUNG_S, "nothing is recorded")
+        self._watch_sayer("guard", GUARD_HUNG_S, "a hung acquisition would be noticed late")
         for name, since_s in silent_s.items():
             expected = name == "acquisition" or self.sampling
             if alive[name] and expected and since_s > HUNG_S:
                 self._tell_event(f"The {name} worker does not answer: it is ended and replaced")
                 self._supervisor.kill(name)
 
-    def _watch_sayer(self, name: str, silence_s: float, hung_s: float, lacking: str) -> None:
+    def _watch_sayer(self, name: str, hung_s: float, lacking: str) -> None:
         """One that says by itself that it lives, whether it has anything to do or not."""
         now, heard_s = time.monotonic(), self._heard_s[name]
         if not heard_s or self._supervisor.workers[name].condition is not Condition.RUNNING:
             return
-        if now - heard_s < silence_s:
+        if now - heard_s < SAYER_SILENCE_S:
             self._alarms.end(name)
             return
         self._alarms.raise_technical(name, Priority.MEDIUM, f"The {name} does not answer: {lacking}")

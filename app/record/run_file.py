@@ -7,6 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +30,8 @@ from estimator.recorded import estimate_columns, estimate_layout
 
 CHUNK_BYTES = 4 * 2**20  # never reached: a chunk ends with each flush
 FLUSH_S = 0.25
+DISK_S = 2.0
+"""So long a disk may take for what a flush gave it, before whoever writes waits for it, and is missed."""
 PARTS = ("numpy", "scipy", "numba", "nidaqmx", "mcap")  # whose versions have a say in what is recorded
 
 
@@ -105,6 +108,9 @@ class RunFile:
         self._anchor: tuple[int, int] | None = None  # a tick and its time, ns since 1970
         self._file = path.open("xb")
         fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until this process closes it, or dies
+        self._disk = ThreadPoolExecutor(1, "disk")
+        self._synced: Future[None] | None = None  # what was last asked of the disk
+        self._synced_s = 0.0
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(layout.PROFILE, f"graspwatch {__version__}")
         self._writer.add_metadata(layout.ABOUT, self._described(rig, about))
@@ -166,16 +172,25 @@ class RunFile:
         self._writer.add_message(self._told[topic], at_ns, content, at_ns)
 
     def flush(self, *, sync: bool = True) -> None:
-        """Write what has been added, so that it outlives this process, and with `sync` the computer too.
+        """Write what has been added, so that it outlives this process, and with `sync` soon the computer too.
 
         Raises:
-            OSError: the disk is full or gone.
+            OSError: the disk is full or gone; perhaps told by a later flush.
         """
         for pending in self._pending.values():
             self._write(pending)
         self._writer.flush()
         if sync:
-            os.fdatasync(self._file.fileno())
+            self._sync()
+
+    def _sync(self) -> None:
+        """Ask the disk for all that is written, without waiting: a slow one would make a recorder seem to hang."""
+        if self._synced:
+            if not self._synced.done() and time.monotonic() - self._synced_s < DISK_S:
+                return
+            self._synced.result()
+        self._synced = self._disk.submit(os.fdatasync, self._file.fileno())
+        self._synced_s = time.monotonic()
 
     def _write(self, pending: _Pending) -> None:
         if not pending.columns:
@@ -199,7 +214,9 @@ class RunFile:
             OSError: the disk is full or gone; the file is readable up to its last flush.
         """
         try:
-            self.flush()
+            self.flush(sync=False)
+            if self._synced:
+                self._synced.result()
             counts = {"samples": str(self.samples), "lost_samples": str(self.lost_samples)}
             self._writer.add_metadata(layout.ENDED, counts | ended)
             self._writer.finish()
@@ -210,5 +227,6 @@ class RunFile:
 
     def abandon(self) -> None:
         """Leave the file as it is: readable up to its last flush."""
+        self._disk.shutdown()
         with contextlib.suppress(OSError):  # what is still in its buffer finds no room
             self._file.close()

@@ -1,5 +1,6 @@
 """The recorder worker: a process that writes what the bus carries, run by run."""
 
+import gc
 import json
 import os
 import time
@@ -18,7 +19,7 @@ from estimator.blocks import estimate_dtype
 
 NICENESS = 5  # gives way to acquisition and estimator
 POLL_MS = 100
-SAYS_EVERY_S = 0.5
+SAYS_EVERY_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,7 @@ def main(setup: Setup) -> None:
     """Run until a signal; first mends what a predecessor left cut off."""
     stop = become_worker("recorder", setup.parent_pid)
     bound_memory()
+    gc.freeze()  # else it takes all modules apart before it is seen to have failed, which took half a second
     os.nice(NICENESS)
     context = zmq.Context()
     publisher = bus.publisher(context, setup.endpoints.recorder)

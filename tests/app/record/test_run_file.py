@@ -1,7 +1,10 @@
 """A run's file: read by the plain mcap package, cut off, damaged, foreign, and from the future."""
 
+import errno
 import json
+import os
 import shutil
+import threading
 from pathlib import Path
 
 import jsonschema
@@ -18,9 +21,10 @@ from acquisition.recordings.container import Container
 from acquisition.recordings.playing import Recording
 from app.record.mend import mend, mend_folder
 from app.record.reading import read_run
+from app.record.run_file import Rig, RunFile
 from app.record.topics import TOPICS
 from config.errors import RecordingError
-from config.load import load_tool
+from config.load import load_library, load_settings, load_tool
 
 RIG = load_tool("smart_tool_2013")
 ANY_BYTE = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -172,3 +176,35 @@ def test_a_recording_named_otherwise_is_known_by_its_content(recorded: Path, tmp
     path = tmp_path / "renamed.lvm"
     shutil.copyfile(recorded, path)
     assert Recording(path, RIG).tool.name == "simulated"
+
+
+@pytest.fixture
+def run_file(tmp_path: Path) -> RunFile:
+    rig = Rig(load_tool("simulated"), load_library("porcine"), load_settings())
+    return RunFile(tmp_path / "a.mcap", rig, {"run_id": "a"}, {}, 0)
+
+
+def test_a_disk_that_takes_its_time_holds_nobody_up(run_file: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    goes_on, asked = threading.Event(), []
+    monkeypatch.setattr(os, "fdatasync", lambda fd: asked.append(fd) or goes_on.wait(30))
+    while not asked:
+        run_file.flush()
+    run_file.flush()  # would wait for 30 s
+    assert len(asked) == 1
+    goes_on.set()
+    run_file.close()
+    assert Container(run_file.path).complete
+
+
+def test_what_the_disk_refuses_later_is_told_by_a_later_flush(
+    run_file: RunFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(fd: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fdatasync", refuse)
+    with pytest.raises(OSError, match="Input/output error"):
+        while True:
+            run_file.flush()
+    with pytest.raises(OSError, match="Input/output error"):
+        run_file.close()
