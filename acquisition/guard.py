@@ -24,6 +24,8 @@ SILENT_LOOKS = 6
 """So often in a row nothing came: 60 to 70 ms. Counted in looks, as a guard that was held up itself knows nothing."""
 SAYS_EVERY_S = 0.1
 AGAIN_LOOKS = 5  # after a reset that failed
+STRETCH_US = 100_000
+"""It only waits: one that computes for so long runs wild, and an alarm is due within half a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ def main(setup: Setup) -> None:
     publisher = bus.publisher(context, setup.endpoints.guard)
     check_driver(setup.tool)  # and with it connect, so that a reset is quick
     calm_garbage_collector()
-    ask_for_realtime(REALTIME_PRIORITY)
+    ask_for_realtime(REALTIME_PRIORITY, STRETCH_US)
     in_run, silent, said_s = False, 0, 0.0
     try:
         while in_run or not stop.set:

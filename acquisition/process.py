@@ -13,8 +13,8 @@ PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 MOST_MEMORY_BYTES = 2 << 30
 """Of one worker, four times what the largest takes: one that wants more ends, and not the machine's others with it."""
-MOST_AT_A_STRETCH_US = 150_000
-"""Of a core, at real-time priority, without waiting for anything; a block takes 1,000."""
+MOST_AT_A_STRETCH_US = 300_000
+"""Of a core, at real-time priority, without waiting for anything: a block takes 400, those of a second 80,000."""
 
 
 class StopFlag:
@@ -54,12 +54,12 @@ def calm_garbage_collector() -> None:
     gc.disable()
 
 
-def ask_for_realtime(priority: int) -> bool:
+def ask_for_realtime(priority: int, stretch_us: int = MOST_AT_A_STRETCH_US) -> bool:
     """SCHED_FIFO for every thread, those of ZeroMQ included, if the system grants it; says whether it did.
 
-    A thread that then runs wild would take a whole core from everybody; the system ends it instead.
+    A thread that then runs wild would take a whole core from everybody; after `stretch_us` the system ends it instead.
     """
-    resource.setrlimit(resource.RLIMIT_RTTIME, (MOST_AT_A_STRETCH_US, MOST_AT_A_STRETCH_US))
+    resource.setrlimit(resource.RLIMIT_RTTIME, (stretch_us, stretch_us))
     try:
         _schedule(os.SCHED_FIFO, priority)
     except PermissionError:

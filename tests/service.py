@@ -1,5 +1,6 @@
 """The real program as a subprocess, for tests and benchmarks."""
 
+import contextlib
 import json
 import os
 import re
@@ -96,8 +97,11 @@ class Service:
 
         def found() -> int | None:
             children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
-            names = {Path(f"/proc/{pid}/comm").read_text().strip(): int(pid) for pid in children}
-            return names.get(name)
+            for pid in children:
+                with contextlib.suppress(OSError):  # it ended meanwhile
+                    if Path(f"/proc/{pid}/comm").read_text().strip() == name:
+                        return int(pid)
+            return None
 
         return until(found)
 
