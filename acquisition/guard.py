@@ -12,10 +12,10 @@ import zmq
 
 from acquisition import bus
 from acquisition.nidaq import check_driver, reset_device
-from acquisition.process import ask_for_realtime, become_worker, bound_memory, calm_garbage_collector
+from acquisition.process import become_worker, take_realtime
 from acquisition.safety import IN_RUN
 from config.errors import ToolError
-from config.schema import Tool
+from config.schema import Realtime, Tool
 
 REALTIME_PRIORITY = 70
 """Less than the acquisition's: a guard that runs wild must not make it late."""
@@ -35,24 +35,23 @@ class Setup:
     parent_pid: int
     endpoints: bus.Endpoints
     tool: Tool
+    realtime: Realtime
 
 
 def main(setup: Setup) -> None:
     """Run until a signal."""
     stop = become_worker("guard", setup.parent_pid)
-    bound_memory()
     context = zmq.Context()
     blocks = bus.subscriber(context, setup.endpoints.samples)
     publisher = bus.publisher(context, setup.endpoints.guard)
     check_driver(setup.tool)  # and with it connect, so that a reset is quick
-    calm_garbage_collector()
-    ask_for_realtime(REALTIME_PRIORITY, STRETCH_US)
+    granted = take_realtime(setup.realtime, REALTIME_PRIORITY, place=1, stretch_us=STRETCH_US)
     in_run, silent, said_s = False, 0, 0.0
     try:
         while in_run or not stop.set:
             if time.monotonic() - said_s > SAYS_EVERY_S:
                 said_s = time.monotonic()
-                publisher.send_multipart(bus.pack_notice("guarding"))
+                publisher.send_multipart(bus.pack_notice("guarding", realtime=str(granted)))
             if blocks.poll(LOOKS_EVERY_MS):
                 parts = blocks.recv_multipart()
                 if parts[0] == bus.SAMPLES:

@@ -5,6 +5,7 @@ import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -21,7 +22,7 @@ from nidaqmx.system import Device, System
 
 from acquisition.source import RawBlock
 from config.errors import RefusedError, ToolError
-from config.schema import Tool
+from config.schema import Board, Tool
 
 # DaqBaseError holds a missing driver, a failing board and a lost server; OSError comes from a driver that cannot load.
 _BOARD_ERRORS = (DaqBaseError, OSError)
@@ -240,14 +241,31 @@ class NidaqTool:
 
 def session_options(tool: Tool) -> nidaqmx.GrpcSessionOptions | None:
     """How the tool's board is reached: through the server that its file names, or (None) the installed driver."""
-    address = tool.board.grpc_address
-    return nidaqmx.GrpcSessionOptions(_channel_to(address), "") if address else None
+    board = tool.board
+    return nidaqmx.GrpcSessionOptions(_channel_to(board), "") if board.grpc_address else None
 
 
 @functools.cache
-def _channel_to(address: str) -> grpc.Channel:
-    """Connected once: whoever has to reset a board has no time for that."""
-    return grpc.insecure_channel(address, options=_CHANNEL)
+def _channel_to(board: Board) -> grpc.Channel:
+    """Connected once: whoever has to reset a board has no time for that.
+
+    Raises:
+        ToolError: a certificate cannot be read.
+    """
+    if not board.grpc_ca:
+        return grpc.insecure_channel(board.grpc_address, options=_CHANNEL)
+    ca, key, cert = (_pem(path) if path else None for path in (board.grpc_ca, board.grpc_key, board.grpc_cert))
+    return grpc.secure_channel(board.grpc_address, grpc.ssl_channel_credentials(ca, key, cert), options=_CHANNEL)
+
+
+def _pem(path: str) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ToolError(
+            f"{path}: the certificate or key of the board's server cannot be read ({error.strerror}). Correct its path "
+            "under [board] in the tool file."
+        ) from None
 
 
 def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> None:
@@ -307,7 +325,8 @@ def _explain(error: Exception, tool: Tool) -> str:
     """One sentence on what happened and what to do next."""
     device = tool.board.device
     if isinstance(error, RpcError):
-        return f"The server of {device} is lost ({error.description}): see that it runs, then start again."
+        trust = ", and that `grpc_ca` is the certificate that vouches for it" if tool.board.grpc_ca else ""
+        return f"The server of {device} is lost ({error.description}): see that it runs{trust}, then start again."
     if not isinstance(error, DaqError):
         return (
             "NI-DAQmx, the driver of the board, is missing here or too old: install NI-DAQmx from ni.com, "

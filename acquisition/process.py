@@ -7,12 +7,17 @@ import os
 import resource
 import signal
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
+
+from config.schema import Realtime
 
 PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
-MOST_MEMORY_BYTES = 2 << 30
-"""Of one worker, four times what the largest takes: one that wants more ends, and not the machine's others with it."""
+MCL_CURRENT, MCL_FUTURE = 1, 2
+MORE_MEMORY_BYTES = 512 << 20
+"""Than a worker has once it is ready: one that wants more ends, and not the machine's others with it."""
 MOST_AT_A_STRETCH_US = 300_000
 """Of a core, at real-time priority, without waiting for anything: a block takes 400, those of a second 80,000."""
 
@@ -42,9 +47,11 @@ def become_worker(name: str, parent_pid: int) -> StopFlag:
 
 def bound_memory() -> None:
     """From here on more memory than any worker needs is refused to this process."""
+    status = Path("/proc/self/status").read_text()
+    now_kb = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmData:"))
+    bound = now_kb * 1024 + MORE_MEMORY_BYTES
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
-    least = MOST_MEMORY_BYTES if most == resource.RLIM_INFINITY else min(MOST_MEMORY_BYTES, most)
-    resource.setrlimit(resource.RLIMIT_DATA, (least, most))
+    resource.setrlimit(resource.RLIMIT_DATA, (bound if most == resource.RLIM_INFINITY else min(bound, most), most))
 
 
 def calm_garbage_collector() -> None:
@@ -65,6 +72,59 @@ def ask_for_realtime(priority: int, stretch_us: int = MOST_AT_A_STRETCH_US) -> b
     except PermissionError:
         return False
     return True
+
+
+@dataclass(frozen=True, slots=True)
+class Granted:
+    """What the system gave a worker of what its settings ask for; None: not asked for."""
+
+    priority: bool | None
+    memory: bool | None
+    core: int | None
+    garbage: bool
+
+    def __str__(self) -> str:
+        words = {True: "granted", False: "refused", None: "not asked for"}
+        core = "any core" if self.core is None else f"core {self.core}" if self.core >= 0 else "its core refused"
+        garbage = "frozen" if self.garbage else "collected"
+        return (
+            f"priority {words[self.priority]}, memory lock {words[self.memory]}, {core}, garbage {garbage}"
+        )  # fmt: skip
+
+
+def take_realtime(
+    wanted: Realtime, priority: int, place: int, stretch_us: int = MOST_AT_A_STRETCH_US
+) -> Granted:  # fmt: skip
+    """Bound its memory and ask for what the settings want, once everything is ready; `place` chooses of the cores."""
+    bound_memory()
+    if wanted.freeze_garbage:
+        calm_garbage_collector()
+    return Granted(
+        priority=ask_for_realtime(priority, stretch_us) if wanted.priority else None,
+        memory=_lock_memory() if wanted.lock_memory else None,
+        core=_stay_on(wanted.cores[place % len(wanted.cores)]) if wanted.cores else None,
+        garbage=wanted.freeze_garbage,
+    )
+
+
+def _lock_memory() -> bool:
+    """Only where no bound on locked memory would refuse what is asked for later."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if soft != resource.RLIM_INFINITY and os.geteuid() != 0:
+        return False
+    libc = ctypes.CDLL(None, use_errno=True)
+    return libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0
+
+
+def _stay_on(core: int) -> int:
+    """The core, or -1 where this process may not run on it."""
+    try:
+        for thread in os.listdir("/proc/self/task"):
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                os.sched_setaffinity(int(thread), {core})
+    except OSError:  # there is no such core, or not for this process
+        return -1
+    return core
 
 
 @contextlib.contextmanager

@@ -8,11 +8,11 @@ import zmq
 from acquisition import bus
 from acquisition.control import Acquisition, let_go_text
 from acquisition.limiter import HoldBack
-from acquisition.process import StopFlag, ask_for_realtime, become_worker, bound_memory, calm_garbage_collector
+from acquisition.process import StopFlag, become_worker, take_realtime
 from acquisition.safety import Safety
 from acquisition.tools import open_tool
 from config.errors import GraspwatchError, RefusedError
-from config.schema import Conditioning, Limiter, Protocol, TissueLibrary, Tool
+from config.schema import Conditioning, Limiter, Protocol, Realtime, TissueLibrary, Tool
 
 REALTIME_PRIORITY = 80
 LOOKS_EVERY_S = 0.1
@@ -31,6 +31,7 @@ class Setup:
     tissue: str
     seed: int
     limiter: Limiter
+    realtime: Realtime
     begin: Event  # set once the tool may be opened
     fault: str = ""  # that a worker before this one died of, with the motor armed
 
@@ -38,7 +39,6 @@ class Setup:
 def main(setup: Setup) -> None:
     """Run until a signal or a fault; exits with an error's code after telling it."""
     stop = become_worker("acquisition", setup.parent_pid)
-    bound_memory()
     context = zmq.Context()
     publisher = bus.publisher(context, setup.endpoints.samples)
     try:
@@ -64,9 +64,8 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
         if stop.set:
             return
     with source:
-        calm_garbage_collector()
-        realtime = ask_for_realtime(REALTIME_PRIORITY)
-        publisher.send_multipart(bus.pack_notice("acquiring", realtime=realtime))
+        granted = take_realtime(setup.realtime, REALTIME_PRIORITY, place=0)
+        publisher.send_multipart(bus.pack_notice("acquiring", realtime=str(granted)))
         while not stop.set and (block := acquisition.turn()) is not None:
             publisher.send_multipart(bus.pack_samples(block))
             _tell_news(acquisition, publisher)

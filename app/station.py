@@ -6,7 +6,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from typing import Any
 
 import zmq
@@ -98,6 +98,7 @@ class Station:
         self._free_bytes = free_bytes(plan.data)
         self._last_tick = -1
         self._fault_texts: dict[str, str] = {}
+        self.realtime: dict[str, str] = {}  # what the system granted each worker
         self._died_ns = 0  # the last acquisition worker
         self._ending = False
         self._stops = 0
@@ -317,6 +318,12 @@ class Station:
         if time.monotonic() - self._lost_s > LOSS_SHOWN_S:
             self.alarms.end("lost")
 
+    def _watch_calibration(self) -> None:
+        calibration = self.plan.tool.calibration
+        if not self.plan.opened and calibration.is_expired(date.today()):
+            text = f"The tool's calibration expired on {calibration.expires}: calibrate it anew before you trust forces"
+            self.alarms.raise_technical("calibration", Priority.LOW, text)
+
     def _count_lost(self, samples: int) -> None:
         if samples:
             self.lost_samples += samples
@@ -344,13 +351,15 @@ class Station:
                 self.tell_event("Preparing the filters (compiled on the first start, which takes up to a minute)")
             case "estimating":
                 self._fault_texts.pop("estimator", None)
-                self.supervisor.runs("estimator")
+                self.realtime["estimator"] = notice["realtime"]
+                if self.supervisor.runs("estimator"):
+                    self.watchdog.begins_to_estimate()
                 self.estimator_ready.set()
                 self.supervisor.open_tool()
             case "acquiring":
                 self._fault_texts.pop("acquisition", None)
-                how = "" if notice["realtime"] else ", without real-time priority"
-                self.tell_event(f"The tool is acquiring{how}")
+                self.realtime["acquisition"] = notice["realtime"]
+                self.tell_event(f"The tool is acquiring; {notice['realtime']}")
             case "fault":
                 self._fault_texts[notice["worker"]] = notice["text"]
                 self.alarms.raise_technical(notice["worker"], Priority.HIGH, notice["text"])
@@ -373,6 +382,8 @@ class Station:
         self.supervisor.runs("guard")
         notice = bus.unpack_notice(parts)
         match notice["kind"]:
+            case "guarding":
+                self.realtime["guard"] = notice["realtime"]
             case "zeroed":
                 self._on_motor(None)
                 self.alarms.raise_technical("samples", Priority.HIGH, notice["text"])
@@ -444,6 +455,7 @@ class Station:
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
                 self._watch_disk()
+                self._watch_calibration()
                 self.control.renew(self.runs.current.by if self.runs.current else None)
                 self.tell_state()
 

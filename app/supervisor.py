@@ -71,7 +71,7 @@ class Supervisor:
         self._replacing: set[asyncio.Task[None]] = set()
         acquisition = acquisition_worker.Setup(
             os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings.conditioning,
-            plan.tissue, plan.seed, plan.settings.limiter, self._begin,
+            plan.tissue, plan.seed, plan.settings.limiter, plan.settings.realtime, self._begin,
         )  # fmt: skip
         estimator = estimator_worker.Setup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
         rig = Rig(plan.tool, plan.library, plan.settings)
@@ -82,7 +82,7 @@ class Supervisor:
             "recorder": Worker("recorder", recorder_worker.main, recorder),
         }
         if plan.tool.kind is ToolKind.NIDAQ:  # a simulated tool's motor is gone with its worker
-            setup = guard.Setup(os.getpid(), self.endpoints, plan.tool)
+            setup = guard.Setup(os.getpid(), self.endpoints, plan.tool, plan.settings.realtime)
             self.workers["guard"] = Worker("guard", guard.main, setup)
 
     def begin_with_fault(self, why: str) -> None:

@@ -23,11 +23,15 @@ class Watchdog:
         self._tell_event = tell_event
         self._heard_s = {"acquisition": 0.0, "estimator": 0.0, "recorder": 0.0, "guard": 0.0}
         self._from_s = 0.0
-        self._sampling_since_s = 0.0
+        self._sampling_since_s = self._estimating_since_s = 0.0
         self.sampling = False
 
     def heard(self, worker: str) -> None:
         self._heard_s[worker] = time.monotonic()
+
+    def begins_to_estimate(self) -> None:
+        """A new estimator: its predecessor's silence is not its own."""
+        self._estimating_since_s = time.monotonic()
 
     def excuse(self) -> None:
         """This process was held up: let it read what waits before it judges."""
@@ -44,7 +48,7 @@ class Watchdog:
             self._sampling_since_s = now  # until then the estimator had nothing to answer
         silent_s = {
             "acquisition": now - self._heard_s["acquisition"],
-            "estimator": now - max(self._heard_s["estimator"], self._sampling_since_s),
+            "estimator": now - max(self._heard_s["estimator"], self._sampling_since_s, self._estimating_since_s),
         }
         estimating = now - self._heard_s["estimator"] < SILENCE_S
         if self._heard_s["acquisition"] and not self.sampling:

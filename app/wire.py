@@ -560,6 +560,7 @@ class System(Wire):
     machine: str
     started_at: str
     workers: dict[str, str]
+    realtime: dict[str, str] = Field(description="What the system granted each worker of `[realtime]`")
     data_folder: str
     free_disk_bytes: int | None
     tool: dict[str, Any] = Field(description="The tool file")

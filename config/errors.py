@@ -48,3 +48,9 @@ class JournalError(GraspwatchError):
     """The journal is not as it was written, or cannot be read: names the first place and what is wrong there."""
 
     exit_code = 7
+
+
+class CalibrationError(GraspwatchError):
+    """What was measured gives no trustworthy calibration: names what is wrong and what to do; nothing was written."""
+
+    exit_code = 8

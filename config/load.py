@@ -27,7 +27,12 @@ def load_settings(path: Path | None = None) -> Settings:
 
 
 def load_tool(name: str) -> Tool:
-    return _load_named(name, "tools", "tool", Tool)
+    return load_file(file_of_tool(name), Tool)
+
+
+def file_of_tool(name: str) -> Path:
+    """Where the tool's file lies, by its name or its path."""
+    return _file_named(name, "tools", "tool")
 
 
 def load_library(name: str) -> TissueLibrary:
@@ -73,10 +78,14 @@ def choose(name: str, names: list[str], what: str) -> str:
 
 
 def _load_named(name: str, folder: str, what: str, model: type[M]) -> M:
+    return load_file(_file_named(name, folder, what), model)
+
+
+def _file_named(name: str, folder: str, what: str) -> Path:
     """A shipped file by its name, or any file by its path (recognised by `/` or `.toml`)."""
     if name.endswith(".toml") or "/" in name:
-        return load_file(Path(name), model)
-    return load_file(CONFIG_DIR / folder / f"{choose(name, available(folder), what)}.toml", model)
+        return Path(name)
+    return CONFIG_DIR / folder / f"{choose(name, available(folder), what)}.toml"
 
 
 def load_file(path: Path, model: type[M]) -> M:

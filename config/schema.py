@@ -1,7 +1,9 @@
 """Typed shape of every configuration file. Units stand in the names; unknown keys are refused."""
 
+import datetime
 import hashlib
 import json
+import re
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
@@ -15,12 +17,14 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Slug = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
+GrpcAddress = Annotated[str, Field(pattern=r"^([A-Za-z0-9.-]+|\[[0-9a-fA-F:]+\]):\d{1,5}$")]
+LOOPBACK = re.compile(r"(localhost|127\.0\.0\.1|\[::1\]):")
 
 
 class Model(BaseModel):
     """Base of all configuration: immutable, no unknown keys, no silent conversion of text to numbers."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
 
 # --- tools -----------------------------------------------------------------------------------------------------------
@@ -33,60 +37,137 @@ class ToolKind(StrEnum):
 
 
 class Board(Model):
-    """The NI board: one hardware-timed clock for the analog inputs and the encoder.
-
-    With `grpc_address` it is reached through an NI gRPC device server on this machine instead of the installed driver;
-    what lies further away needs an encrypted tunnel.
-    """
+    """The NI board: one hardware-timed clock for the analog inputs and the encoder."""
 
     device: str = "Dev1"
+    """The board's name in NI MAX."""
     product: str = "PCI-6230"
+    """What the board has to be; `graspwatch check` compares."""
     sample_rate_hz: Positive = 1000.0
+    """Samples a second of every channel; the estimator is tuned for 1000."""
     block_samples: Annotated[int, Field(ge=1, le=100)] = 5
-    grpc_address: Annotated[str, Field(pattern=r"^(localhost|127\.0\.0\.1|\[::1\]):\d{1,5}$")] | None = None
+    """Samples that are read, judged and answered together."""
+    grpc_address: GrpcAddress | None = None
+    """`host:port` of an NI gRPC device server that has the board, instead of the driver of this computer. On another
+    computer the connection has to be encrypted: name `grpc_ca`."""
+    grpc_ca: str | None = None
+    """Certificate (PEM file) that the device server's is checked against; with it the connection is encrypted."""
+    grpc_cert: str | None = None
+    """This computer's own certificate (PEM file), where the server asks for one; with `grpc_key`."""
+    grpc_key: str | None = None
+    """Key (PEM file) of `grpc_cert`."""
+
+    @model_validator(mode="after")
+    def _is_encrypted(self) -> Self:
+        if bool(self.grpc_cert) != bool(self.grpc_key):
+            raise ValueError("grpc_cert and grpc_key belong together: name both or none")
+        if (self.grpc_ca or self.grpc_cert) and not self.grpc_address:
+            raise ValueError("certificates are for a board that is reached by grpc_address: name it, or leave them out")
+        if self.grpc_cert and not self.grpc_ca:
+            raise ValueError("grpc_cert is shown to a server that grpc_ca vouches for: name that, too")
+        if self.grpc_address and not self.grpc_ca and not LOOPBACK.match(self.grpc_address):
+            raise ValueError(
+                "anybody on the way could drive the motor of a board that is reached in the clear: name the server's "
+                "certificate in grpc_ca, or use an address of this computer"
+            )
+        return self
 
 
 class Channels(Model):
     """Physical channels without the device name, e.g. `ai0`."""
 
     strain: str = "ai0"
+    """Amplified strain gage."""
     motor_command_readback: str = "ai2"
+    """The motor command, wired back from `motor_command`."""
     touch: tuple[str, str] = ("ai3", "ai1")
+    """Touch sensors of the two jaws; on analog inputs, as the digital lines of the PCI-6230 have no clock."""
     encoder: str = "ctr0"
+    """Counter with the quadrature encoder."""
     motor_command: str = "ao0"
+    """Motor command to the amplifier."""
     analog_range_v: Positive = 10.0
+    """Inputs span ± this, V; one of the board's ranges."""
 
 
 class Geometry(Model):
-    """Link lengths and angle of the grasper, Table I."""
+    """Link lengths and angle of the grasper, Table I of the paper."""
 
     r_pp_m: Positive
+    """Pitch radius of the pulley, m."""
     a_m: Positive
+    """Lever from the handle's axis to the push rod, m."""
     l0_m: Positive
+    """L0 of the linkage with the jaws open, m."""
     l1_m: Positive
+    """L1 of the linkage, m."""
     l2_m: Positive
+    """L2 of the linkage, m."""
     l_jaw_m: Positive
+    """From the jaw's axis to where it grasps, m."""
     beta0_deg: Positive
-    opening_m: Positive | None = None  # gap between the open jaws; without it thickness is no evidence
+    """Angle of the linkage with the jaws open, degrees."""
+    opening_m: Positive | None = None
+    """Gap between the open jaws, m: the encoder's zero. Without it thickness is no evidence. `calibrate geometry`."""
+
+
+class Measured(Model):
+    """How a constant of the tool file was measured: by `graspwatch calibrate`."""
+
+    value: Finite
+    """The constant, in `unit`."""
+    low: Finite
+    """Lower end of its 95 % confidence interval."""
+    high: Finite
+    """Upper end of it."""
+    unit: str
+    """Of the three."""
+    residual: NonNegative
+    """What the fit leaves (RMS), in `residual_unit`."""
+    residual_unit: str
+    """Of the residual."""
+    readings: Annotated[int, Field(ge=1)]
+    """How many readings were fitted."""
+    date: datetime.date
+    """Day of the measurement."""
+    person: str
+    """Who measured."""
 
 
 class Calibration(Model):
     """Eqs. (1), (3) and (5), and the rest voltage that is tared away."""
 
     newton_per_volt: Positive
+    """Pull on the handle for each volt of the strain gage over rest, Eq. (1). `calibrate strain`."""
     encoder_deg_per_volt: NonNegative
+    """How far the cable's stretch turns the encoder for each volt, Eq. (3). `calibrate stretch`."""
     handle_per_encoder: Positive
+    """Degrees of the handle for each of the encoder, Eq. (5). `calibrate geometry`."""
     jaw_force_scale: Positive = 1.0
+    """Jaw force is Eq. (2) times this."""
     rest_offset_v: Finite
+    """What the strain gage reads at rest, V. `calibrate tare`."""
     rest_tolerance_v: Positive
+    """A rest voltage further off is not taken for a tare, V."""
     encoder_counts_per_rev: Annotated[int, Field(gt=0)]
+    """Pulses of the encoder for each turn of its shaft; each counts four times."""
     encoder_gear_ratio: Positive
+    """Turns of the encoder's shaft for each of the gearbox."""
     date: str
+    """Day of the calibration."""
     person: str
+    """Who calibrated."""
+    expires: datetime.date | None = None
+    """From this day on the dashboard asks for a new calibration."""
+    measured: dict[str, Measured] = {}
+    """How each constant was measured, by its name."""
 
     def is_rest(self, strain_v: float) -> bool:
         """Whether the gage may read that at rest; False for NaN."""
         return abs(strain_v - self.rest_offset_v) <= self.rest_tolerance_v
+
+    def is_expired(self, today: datetime.date) -> bool:
+        return self.expires is not None and today >= self.expires
 
     @property
     def encoder_resolution_deg(self) -> float:
@@ -98,7 +179,9 @@ class SensorNoise(Model):
     """What one raw sample scatters by; the estimator's noise model and the simulated board's noise."""
 
     strain_sd_v: Positive
+    """Standard deviation of the strain gage at rest, V. `calibrate tare`."""
     strain_lsb_v: NonNegative
+    """Step of the converter, V."""
 
     @property
     def strain_var_v2(self) -> float:
@@ -110,16 +193,22 @@ class ToolLimits(Model):
     """Hard bounds of the tool, kept by the acquisition worker itself."""
 
     max_command_v: Positive
-    max_command_v_per_s: Positive = 60.0  # rising: down to zero nothing is ever slowed
+    """Highest motor command, V."""
+    max_command_v_per_s: Positive = 60.0
+    """Fastest rise of it, V/s; down to zero nothing is ever slowed."""
     force_ceiling_n: Positive
+    """Jaw force over which a run ends with a fault, N."""
     max_run_s: Positive
+    """Longest run, s."""
 
 
 class CommandToForce(Model):
     """Static map from motor command to jaw force, linear between the points and beyond the last."""
 
     command_v: tuple[NonNegative, ...]
+    """Motor commands, V, rising from 0."""
     force_n: tuple[NonNegative, ...]
+    """Jaw force at each, N, rising from 0."""
 
     @model_validator(mode="after")
     def _rises_from_zero(self) -> Self:
@@ -148,14 +237,23 @@ class ContactDetection(Model):
     """How contact with tissue and shut jaws are told."""
 
     touch_trusted: bool
+    """Whether the touch sensors tell contact; else the force does."""
     touch_threshold_v: Positive = 2.5
+    """A touch sensor over this senses contact, V."""
     force_rise_v: Positive
+    """Rise of the strain gage that tells contact, V."""
     force_rise_samples: Annotated[int, Field(ge=1)] = 8
+    """So many samples in a row have to show it."""
     wall_above_v: Positive
+    """Jaws are not taken for shut below this strain, V."""
     wall_span_v: Positive
+    """Rise of strain over which the slope of shut jaws is measured, V."""
     wall_slack_deg_per_volt: Positive
+    """Encoder travel beyond the cable's stretch that shut jaws may still show, degrees a volt."""
     slip_share: Probability
+    """An encoder that moves by less than this share of the cable's stretch slips."""
     walk_deg: Positive
+    """An encoder whose rest moves by more than this between grasps walks, degrees."""
 
 
 class Plausible(Model):
@@ -164,24 +262,37 @@ class Plausible(Model):
     The defaults are for the Smart Tool as recorded in 2013, whose own vibration comes to 0.25 V in 3 ms.
     """
 
-    strain_step_v: Positive = 0.4  # between the medians of three samples and the next three
-    strain_scatter_v: Positive = 0.35  # second difference of the noise, the median of ten
+    strain_step_v: Positive = 0.4
+    """Jump between the medians of three samples and the next three, V."""
+    strain_scatter_v: Positive = 0.35
+    """Second difference of the noise, the median of ten, V."""
     strain_below_rest_v: Positive = 1.2
-    rest_drift_v: Positive = 0.8  # between grasps
-    encoder_step_deg: Positive = 2.0  # from sample to sample
-    encoder_back_deg: Positive = 25.0  # in a grasp, behind its beginning, without the cable's stretch
-    encoder_stuck_v: Positive = 0.04  # change of strain while the encoder does not move by a count
+    """How far below rest the gage may read, V."""
+    rest_drift_v: Positive = 0.8
+    """How far the rest may move between grasps, V."""
+    encoder_step_deg: Positive = 2.0
+    """From sample to sample, degrees."""
+    encoder_back_deg: Positive = 25.0
+    """In a grasp, behind its beginning, without the cable's stretch, degrees."""
+    encoder_stuck_v: Positive = 0.04
+    """Change of strain while the encoder does not move by a count, V."""
 
 
 class SimulatedGrasper(Model):
     """Mechanics that the simulated tool adds to the tissue: drive lag, free travel, opening."""
 
     drive_lag_s: Positive
+    """Time constant from motor command to drive force, s."""
     contact_lag_s: Positive
+    """Time constant from drive force to the force on the tissue, s."""
     free_drag_kg_per_s: Positive
+    """Drag of the jaws that touch nothing, kg/s."""
     free_travel_m: Positive
+    """The jaws move at least so far before they touch, m."""
     opening_time_s: Positive
+    """Time constant of the return spring, s."""
     spread_scale: NonNegative = 1.0
+    """Scatter of the specimens, times the library's."""
 
 
 UNITS_OF_CALIBRATION = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "jaw_force_scale")
@@ -191,8 +302,11 @@ class Tool(Model):
     """A tool file: board, channels, geometry, calibration, noise, limits."""
 
     name: Slug
+    """Short name, in recordings and in the journal."""
     title: str
+    """Name for people."""
     kind: ToolKind
+    """`simulated`; `nidaq`: a board behind NI-DAQmx; `recording`: only for reading recordings."""
     board: Board = Board()
     channels: Channels = Channels()
     geometry: Geometry
@@ -557,6 +671,15 @@ class Warnings(Model):
         return self
 
 
+class Realtime(Model):
+    """What acquisition, estimator and guard ask the system for; what it grants is told, and the rest goes without."""
+
+    priority: bool = True  # SCHED_FIFO
+    lock_memory: bool = False  # mlockall: nothing of them is ever paged out
+    cores: tuple[Annotated[int, Field(ge=0)], ...] = ()  # acquisition on the first, estimator on the next, in turn
+    freeze_garbage: bool = True  # Python's collector stays out of the way
+
+
 class Settings(Model):
     """`graspwatch.toml`: everything of the service that is not a tool, a library or a protocol."""
 
@@ -569,6 +692,7 @@ class Settings(Model):
     conditioning: Conditioning = Conditioning()
     identification: Identification = Identification()
     safety: Arming = Arming()
+    realtime: Realtime = Realtime()
     limiter: Limiter = Limiter()
     warnings: Warnings = Warnings()
     recording: Recording = Recording()

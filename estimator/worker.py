@@ -9,7 +9,7 @@ import numpy as np
 import zmq
 
 from acquisition import bus
-from acquisition.process import ask_for_realtime, become_worker, bound_memory, calm_garbage_collector
+from acquisition.process import become_worker, take_realtime
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.alarms import ForceAlarm
 from estimator.bank import Contact
@@ -34,22 +34,20 @@ class Setup:
 def main(setup: Setup) -> None:
     """Run until a signal. Says when its filters are compiled and ready."""
     stop = become_worker("estimator", setup.parent_pid)
-    bound_memory()
     context = zmq.Context()
     samples = bus.subscriber(context, setup.endpoints.samples)
     publisher = bus.publisher(context, setup.endpoints.estimates)
     limits = bus.publisher(context, setup.endpoints.limits)
     publisher.send_multipart(bus.pack_notice("compiling"))
     warm_up(setup)
-    calm_garbage_collector()
-    ask_for_realtime(REALTIME_PRIORITY)
+    granted = take_realtime(setup.settings.realtime, REALTIME_PRIORITY, place=1)
     session = EstimationSession(setup.tool, setup.library, setup.settings)
     counter = bus.SequenceCounter()
     last_ready = 0.0
     try:
         while not stop.set:
             if time.monotonic() - last_ready > 1.0:  # repeated: a subscriber may have come late
-                publisher.send_multipart(bus.pack_notice("estimating"))
+                publisher.send_multipart(bus.pack_notice("estimating", realtime=str(granted)))
                 last_ready = time.monotonic()
             if not samples.poll(POLL_MS):
                 continue

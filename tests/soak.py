@@ -201,9 +201,9 @@ class Soak:
             self.check(took_ms <= strike.within_ms, f"{name}: zero after {took_ms:.0f} ms")
         else:
             time.sleep(2.0)
-        state = service.http.get(f"/api/runs/{run['id']}").json()["state"]
+        now = service.http.get(f"/api/runs/{run['id']}").json()
         wanted = {Then.GOES_ON: "running", Then.STOPPED: "stopped"}.get(strike.then)
-        self.check(wanted in (None, state), f"{name}: the run is {state}")
+        self.check(wanted in (None, now["state"]), f"{name}: the run is {now['state']}: {now['why']}")
         self._board.tell("mend")
         self._recover(service, run, name, strike.then)
 

@@ -44,7 +44,9 @@ class SimulatedGrasper:
         self._drive_share = -math.expm1(-self._dt_s / self._mechanics.drive_lag_s)
         self._contact_share = -math.expm1(-self._dt_s / self._mechanics.contact_lag_s)
         self._opening_share = math.exp(-self._dt_s / self._mechanics.opening_time_s)
-        self.tissue, self.empty = tissue, False
+        self.tissue = tissue
+        self.gauge_m: float | None = None  # thickness of a rigid gauge instead of tissue; 0: the jaws are empty
+        self.hung_n = 0.0  # pull of a weight on the handle
         self.specimen = self._draw()
         self.drive_n = 0.0
         self.force_n = 0.0
@@ -83,9 +85,9 @@ class SimulatedGrasper:
     @property
     def _free_m(self) -> float:
         """How far the jaws move before they touch: thick tissue fills them; empty ones meet each other."""
-        if self.empty:
-            return self._reach_m
         opening_m = self._tool.geometry.opening_m
+        if self.gauge_m is not None:
+            return min(self._reach_m, self._reach_m if opening_m is None else opening_m - self.gauge_m)
         least_m = self._mechanics.free_travel_m
         return least_m if opening_m is None else max(least_m, opening_m - self.specimen.thickness_m)
 
@@ -121,7 +123,8 @@ class SimulatedGrasper:
         x_m, v_m_per_s, self._relaxed_n = squeeze(
             self.x_m, self._v_m_per_s, self._relaxed_n, begin_n, self.force_n, self._dt_s, self._moved_m(), self._held()
         )
-        shut_m = min(SHUT_SHARE * self.specimen.thickness_m, self._reach_m - self._free_m)
+        rigid = self.gauge_m is not None
+        shut_m = 0.0 if rigid else min(SHUT_SHARE * self.specimen.thickness_m, self._reach_m - self._free_m)
         if x_m > shut_m:
             x_m, v_m_per_s = shut_m, 0.0
         self.x_m, self._v_m_per_s = x_m, v_m_per_s
@@ -154,7 +157,8 @@ class SimulatedGrasper:
     def _read_strain(self, strain_v: float) -> float:
         if not self._noise_v:
             self._noise_v = (self._noise.standard_normal(1000) * self._tool.noise.strain_sd_v).tolist()
-        volts = self._rest_v + strain_v + self._noise_v.pop()
+        hung_v = self.hung_n / self._tool.calibration.newton_per_volt
+        volts = self._rest_v + strain_v + hung_v + self._noise_v.pop()
         lsb = self._tool.noise.strain_lsb_v
         return round(volts / lsb) * lsb if lsb else volts
 

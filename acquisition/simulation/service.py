@@ -31,15 +31,17 @@ def in_process_options(board: SimulatedBoard) -> nidaqmx.GrpcSessionOptions:
     return nidaqmx.GrpcSessionOptions(InProcessChannel(BoardService(board)), "")
 
 
-def serve_tcp(board: SimulatedBoard, address: str = "127.0.0.1:0") -> tuple[grpc.Server, int]:
-    """Serve `board` at `address`; returns the running server and its port.
+def serve_tcp(
+    board: SimulatedBoard, address: str = "127.0.0.1:0", credentials: grpc.ServerCredentials | None = None
+) -> tuple[grpc.Server, int]:
+    """Serve `board` at `address`, encrypted with `credentials`; returns the running server and its port.
 
     Raises:
         RuntimeError: the address is taken.
     """
     server = grpc.server(ThreadPoolExecutor(max_workers=4, thread_name_prefix="simulated-board"))
     add_NiDAQmxServicer_to_server(BoardService(board), server)
-    port = server.add_insecure_port(address)
+    port = server.add_secure_port(address, credentials) if credentials else server.add_insecure_port(address)
     server.start()
     return server, port
 

@@ -27,6 +27,7 @@ async def system(request: Request) -> System:
         machine=f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
         started_at=station.started_at,
         workers=station.conditions(),
+        realtime=station.realtime,
         data_folder=str(plan.data),
         free_disk_bytes=free_bytes(plan.data),
         tool=plan.tool.model_dump(mode="json"),

@@ -2,22 +2,27 @@
 
 import time
 from contextlib import suppress
+from pathlib import Path
 
+import grpc
 import nidaqmx
 import numpy as np
 import pytest
 from boards import HAS_DRIVER
+from certificates import self_signed
 from grpc import insecure_channel
 from nidaqmx.constants import AcquisitionType, TriggerType
 from nidaqmx.errors import DaqError
 from nidaqmx.stream_readers import CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
+from pydantic import ValidationError
 
-from acquisition.nidaq import NidaqTool, reset_device
+from acquisition.nidaq import NidaqTool, reset_device, session_options
 from acquisition.simulation.board import RealClock, SimulatedBoard, VirtualClock
 from acquisition.simulation.service import in_process_options, serve_tcp
 from config.errors import RefusedError, ToolError
 from config.load import load_tool
+from config.schema import Board, ToolKind
 
 TOOL = load_tool("simulated")
 COUNT_DEG = TOOL.calibration.encoder_resolution_deg
@@ -270,3 +275,72 @@ def test_over_tcp_it_is_the_same_board_and_a_lost_server_is_told() -> None:
         server.stop(grace=None).wait()
         with pytest.raises(ToolError, match=r"server of Dev1 is lost .* switch off the motor's amplifier NOW"):
             tool.read_block()
+
+
+# --- over the network -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def encrypted(tmp_path: Path):
+    """A board behind a server that knows its clients by their certificate; the tool that reaches it."""
+    server_cert, server_key = self_signed(tmp_path / "server")
+    own_cert, own_key = self_signed(tmp_path / "client")
+    credentials = grpc.ssl_server_credentials(
+        [(server_key.read_bytes(), server_cert.read_bytes())], own_cert.read_bytes(), require_client_auth=True
+    )
+    board = SimulatedBoard(TOOL, Ramp(), VirtualClock())
+    server, port = serve_tcp(board, credentials=credentials)
+    wiring = {
+        "grpc_address": f"127.0.0.1:{port}", "grpc_ca": str(server_cert), "grpc_cert": str(own_cert),
+        "grpc_key": str(own_key),
+    }  # fmt: skip
+    yield board, wiring, tmp_path
+    server.stop(grace=None).wait()
+
+
+def reached_by(wiring: dict[str, str]) -> NidaqTool:
+    tool = TOOL.model_copy(update={"kind": ToolKind.NIDAQ, "board": Board(**wiring)})
+    return NidaqTool(tool, session_options(tool))
+
+
+def test_over_tls_the_board_is_driven_by_whoever_it_knows(encrypted) -> None:
+    board, wiring, _ = encrypted
+    with reached_by(wiring) as tool:
+        tool.write_command(1.0)
+        assert list(tool.read_block().motor_command_v) == [1.0] * 5
+        assert board.output_v == 1.0
+    assert board.output_v == 0.0
+
+
+def test_over_tls_nobody_else_reaches_it_nor_another_board_in_its_place(encrypted) -> None:
+    board, wiring, folder = encrypted
+    other_cert, other_key = self_signed(folder / "other")
+    strangers = (
+        wiring | {"grpc_ca": str(other_cert)},
+        wiring | {"grpc_cert": str(other_cert), "grpc_key": str(other_key)},
+        {name: value for name, value in wiring.items() if name not in ("grpc_cert", "grpc_key")},
+    )
+    for stranger in strangers:
+        with pytest.raises(ToolError, match=r"server of Dev1 is lost .* `grpc_ca`"), reached_by(stranger):
+            pass
+    assert not board.outputs
+
+
+def test_a_certificate_that_is_not_there_is_named() -> None:
+    with pytest.raises(ToolError, match=r"/no/ca\.pem: .* Correct its path"):
+        reached_by({"grpc_address": "127.0.0.1:1", "grpc_ca": "/no/ca.pem"})
+
+
+@pytest.mark.parametrize(
+    ("wiring", "says"),
+    [
+        ({"grpc_address": "10.0.0.5:31763"}, "drive the motor of a board that is reached in the clear"),
+        ({"grpc_address": "10.0.0.5"}, "should match pattern"),
+        ({"grpc_address": "10.0.0.5:1", "grpc_ca": "a", "grpc_cert": "b"}, "belong together"),
+        ({"grpc_ca": "a"}, "for a board that is reached by grpc_address"),
+        ({"grpc_address": "localhost:1", "grpc_cert": "b", "grpc_key": "c"}, "grpc_ca vouches for"),
+    ],
+)
+def test_a_board_in_the_clear_or_with_half_of_its_certificates_is_refused(wiring: dict[str, str], says: str) -> None:
+    with pytest.raises(ValidationError, match=says):
+        Board(**wiring)

@@ -4,16 +4,11 @@ import json
 import socket
 import ssl
 import time
-from datetime import UTC, datetime, timedelta
-from ipaddress import ip_address
 from pathlib import Path
 
 import httpx
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
+from certificates import self_signed
 from people import bearer, config_with, give_tokens
 from service import Service, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -354,17 +349,7 @@ def test_a_crowd_of_connections_keeps_out_neither_stop_nor_viewers(service, toke
 
 @pytest.fixture
 def certificate(tmp_path):
-    """Of this machine, signed by itself."""
-    key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "graspwatch")])
-    builder = x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
-    builder = builder.not_valid_before(now - timedelta(hours=1)).not_valid_after(now + timedelta(hours=1))
-    builder = builder.add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), False)
-    pem = serialization.Encoding.PEM
-    (tmp_path / "cert.pem").write_bytes(builder.sign(key, hashes.SHA256()).public_bytes(pem))
-    clear = serialization.NoEncryption()
-    (tmp_path / "key.pem").write_bytes(key.private_bytes(pem, serialization.PrivateFormat.PKCS8, clear))
-    return tmp_path / "cert.pem", tmp_path / "key.pem"
+    return self_signed(tmp_path)
 
 
 def test_over_tls_and_no_secret_is_left_anywhere(certificate, tmp_path):

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 import zmq
-from faulty import LIBRARY, TOOL
+from faulty import LIBRARY, SETTINGS, TOOL
 
 from acquisition import bus, guard
 from acquisition.blocks import SAMPLE, SampleBlock
@@ -37,7 +37,7 @@ class GuardedTool:
         self.publisher = bus.publisher(self._context, endpoints.samples)
         self._told = bus.subscriber(self._context, endpoints.guard)
         context = multiprocessing.get_context("spawn")
-        setup = guard.Setup(os.getpid(), endpoints, tool)
+        setup = guard.Setup(os.getpid(), endpoints, tool, SETTINGS.realtime)
         self.process = context.Process(target=guard.main, args=(setup,), daemon=True)
         self.process.start()
         assert self._told.poll(20_000), "the guard says nothing"

@@ -45,6 +45,7 @@ export class SystemPage implements Page {
     });
     showFacts(byId("service-workers"), system.workers);
     for (const dd of byId("service-workers").querySelectorAll("dd")) setData(dd, "warn", String(dd.textContent === "faulted"));
+    showFacts(byId("service-realtime"), system.realtime);
     showFacts(byId("service-versions"), system.versions);
     showCalibration(system.tool);
     this.showConfiguration(system);
@@ -62,9 +63,14 @@ export class SystemPage implements Page {
 }
 
 function showCalibration({ title, calibration }: System["tool"]): void {
-  const { date, person } = (calibration ?? {}) as { date?: string; person?: string };
+  const { date, person, expires } = (calibration ?? {}) as { date?: string; person?: string; expires?: string | null };
   setText(byId("calibration-age"), ageInWords(date));
-  showFacts(byId("calibration-facts"), { Calibrated: date ?? NO_VALUE, By: person ?? NO_VALUE, Tool: String(title) });
+  showFacts(byId("calibration-facts"), {
+    Calibrated: date ?? NO_VALUE,
+    By: person ?? NO_VALUE,
+    "Good until": expires ?? "not said",
+    Tool: String(title),
+  });
 }
 
 function ageInWords(date: string | undefined): string {

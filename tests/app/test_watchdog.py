@@ -1,0 +1,64 @@
+"""Silence of workers: told, and ended where it lasts, but never for what a predecessor owed."""
+
+import time
+from dataclasses import dataclass, field
+
+import pytest
+
+from app import watchdog
+from app.alarms import AlarmBook
+from app.supervisor import Condition
+from app.watchdog import Watchdog
+
+
+@dataclass
+class Named:
+    condition: Condition = Condition.RUNNING
+
+
+@dataclass
+class Workers:
+    """As much of a supervisor as a watchdog sees."""
+
+    workers: dict[str, Named] = field(
+        default_factory=lambda: {name: Named() for name in ("acquisition", "estimator", "recorder", "guard")}
+    )
+    killed: list[str] = field(default_factory=list)
+
+    def kill(self, name: str) -> None:
+        self.killed.append(name)
+
+
+def watch_for(dog: Watchdog, seconds: float, *speaking: str) -> None:
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        for name in speaking:
+            dog.heard(name)
+        dog.watch()
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def workers(monkeypatch: pytest.MonkeyPatch) -> Workers:
+    monkeypatch.setattr(watchdog, "HUNG_S", 0.5)
+    return Workers()
+
+
+def test_an_estimator_that_hangs_is_ended(workers: Workers) -> None:
+    dog = Watchdog(workers, AlarmBook(lambda message: None), lambda text: None)
+    watch_for(dog, 0.1, "acquisition", "estimator")
+    watch_for(dog, 0.6, "acquisition")
+    assert "estimator" in workers.killed
+
+
+def test_a_new_estimator_is_not_ended_for_the_silence_of_the_one_before(workers: Workers) -> None:
+    dog = Watchdog(workers, AlarmBook(lambda message: None), lambda text: None)
+    watch_for(dog, 0.1, "acquisition", "estimator")
+    workers.workers["estimator"].condition = Condition.STARTING
+    watch_for(dog, 0.6, "acquisition")
+    workers.workers["estimator"].condition = Condition.RUNNING
+    dog.begins_to_estimate()
+    watch_for(dog, 0.1, "acquisition")
+    assert not workers.killed
+    watch_for(dog, 0.6, "acquisition")
+    assert "estimator" in workers.killed
