@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import nidaqmx
 
+from acquisition.bench.measuring import Bench
 from acquisition.bench.walk import Walk
 from acquisition.nidaq import NidaqTool, session_options
-from config.load import holdable
+from config.load import holdable, load_library
 from config.schema import TissueLibrary, Tool, ToolKind
 
 if TYPE_CHECKING:
@@ -34,8 +35,21 @@ def open_bench(tool: Tool, library: TissueLibrary, reading: AbstractContextManag
     if tool.kind is ToolKind.NIDAQ:
         return Walk(tool, session_options(tool), time.monotonic_ns, reading)
     options, clock, grasper = _simulated(tool, library, next(iter(library.tissues)), seed=0, virtual=False)
-    grasper.empty = True
+    grasper.gauge_m = 0.0
     return Walk(tool, options, clock, reading)
+
+
+def open_for_calibration(tool: Tool) -> Bench:
+    """The tool to be calibrated, see `Bench`; on a simulated one weights and gauges are put by themselves."""
+    if tool.kind is ToolKind.NIDAQ:
+        return Bench(tool, session_options(tool), time.monotonic_ns)
+    library = load_library("porcine")  # nothing of it is held
+    options, clock, grasper = _simulated(tool, library, next(iter(library.tissues)), seed=0, virtual=False)
+
+    def put(pull_n: float, gauge_m: float) -> None:
+        grasper.hung_n, grasper.gauge_m = pull_n, gauge_m
+
+    return Bench(tool, options, clock, put)
 
 
 def _simulated(

@@ -1,5 +1,5 @@
 """The command line. Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service,
-7 journal."""
+7 journal, 8 calibration."""
 
 import contextlib
 import json
@@ -14,7 +14,9 @@ from rich.table import Table
 
 from app import __version__
 from app.audit import command as audit
+from app.bench import calibrate
 from app.bench.command import check
+from app.bench.jitter import bench
 from app.exchange import command as exchange
 from app.learn.command import learn
 from app.learn.labels import LearnCommand
@@ -43,7 +45,8 @@ app = typer.Typer(
     name="graspwatch",
     help="Names the tissue in a laparoscopic grasper while it closes, and shows how near the force is to injuring it. "
     "Research instrument, not a medical device.",
-    epilog="Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service, 7 journal.",
+    epilog="Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service, 7 journal, "
+    "8 calibration.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -51,7 +54,8 @@ app = typer.Typer(
 app.add_typer(study.app, name="study")
 app.add_typer(audit.app, name="audit")
 app.add_typer(people.app, name="token")
-for command in (*exchange.COMMANDS, report, check):
+app.add_typer(calibrate.app, name="calibrate")
+for command in (*exchange.COMMANDS, report, check, bench):
     app.command(command.__name__.strip("_").replace("_", "-"))(command)
 app.command("learn", cls=LearnCommand)(learn)
 

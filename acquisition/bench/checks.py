@@ -1,5 +1,6 @@
 """Judgements on what was measured: each passes or fails, and a failure names the likeliest mistake and what to do."""
 
+import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -84,12 +85,28 @@ def channels(board: BoardFacts, tool: Tool) -> Finding:
     return Finding(check, Outcome.PASS, f"{len(inputs)} inputs up to {named.analog_range_v:g} V, output, encoder")
 
 
+def calibration(tool: Tool, today: datetime.date) -> Finding:
+    """Whether the tool's constants are still to be trusted."""
+    check, made = "calibration", tool.calibration
+    found = f"of {made.date} by {made.person}"
+    if made.is_expired(today):
+        text = f"{found}, expired on {made.expires}: calibrate anew, see `graspwatch calibrate`."
+        return Finding(check, Outcome.FAIL, text)
+    until = f"good until {made.expires}" if made.expires else "without a date of expiry"
+    return Finding(check, Outcome.PASS, f"{found}, {until}")
+
+
+def lateness_ms(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.ndarray]:
+    """Rate of the samples, Hz, and by how much each block came later than the promptest, ms, sorted; (n,) each."""
+    measured_hz = 1e9 / float(np.polyfit(ticks, arrived_ns - arrived_ns[0], 1)[0])
+    behind_ns = arrived_ns - ticks * (1e9 / measured_hz)
+    return measured_hz, np.sort(behind_ns - behind_ns.min()) / 1e6
+
+
 def clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> Finding:
     """Blocks by the tick after their last sample, (n,), and when each had been read."""
     check = "sample clock"
-    measured_hz = 1e9 / float(np.polyfit(ticks, arrived_ns - arrived_ns[0], 1)[0])
-    behind_ns = arrived_ns - ticks * (1e9 / measured_hz)
-    late_ms = np.sort(behind_ns - behind_ns.min()) / 1e6
+    measured_hz, late_ms = lateness_ms(ticks, arrived_ns)
     figures = {
         "rate_hz": measured_hz,
         "late_median_ms": float(np.median(late_ms)),
@@ -135,8 +152,8 @@ def strain(rest: Signals, tool: Tool) -> Finding:
     elif not calibration.is_rest(mean_v):
         why = (
             f"{found}; the tool file expects {calibration.rest_offset_v:.3f} V within "
-            f"{calibration.rest_tolerance_v:.3f} V: open the jaws, balance the bridge, or correct "
-            "`rest_offset_v` under [calibration]."
+            f"{calibration.rest_tolerance_v:.3f} V: open the jaws, balance the bridge, or measure the rest anew with "
+            "`graspwatch calibrate tare`."
         )
     else:
         return Finding(check, Outcome.PASS, found, figures)
@@ -267,6 +284,6 @@ def encoder_scale(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> 
     if guess:
         text = f"{found}: it counts {guess} the pulses. Correct `encoder_counts_per_rev` or `encoder_gear_ratio`."
     else:
-        text = f"{found}: correct `encoder_deg_per_volt`, or look for a cable that slips."
+        text = f"{found}: look for a cable that slips, or measure it anew with `graspwatch calibrate stretch`."
     return Finding(check, Outcome.FAIL, text, figures)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from acquisition.bench.checks import Outcome
-from acquisition.bench.walk import MOVE_V, Walk
+from acquisition.bench.jaws import MOVE_V
+from acquisition.bench.walk import Walk
 from acquisition.nidaq import NidaqTool
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.faults import FaultySensors, SensorFault
@@ -29,7 +30,7 @@ class Bench:
         self, file: Tool = TOOL, real: Tool = TOOL, mistake: Mistake | None = None, fault: SensorFault | None = None
     ) -> None:
         self.grasper = SimulatedGrasper(real, LIBRARY, "liver", seed=1)
-        self.grasper.empty = True
+        self.grasper.gauge_m = 0.0
         plant = MiswiredGrasper(self.grasper, mistake) if mistake else FaultySensors(self.grasper, real)
         if fault:
             plant.break_at(fault, 0)
@@ -98,7 +99,7 @@ MISTAKES = {
         {"real": changed("noise", strain_sd_v=0.03)}, "strain gage at rest", "check the cable's screen",
     ),
     "another rest voltage": (
-        {"real": changed("calibration", rest_offset_v=0.5)}, "strain gage at rest", "correct `rest_offset_v`",
+        {"real": changed("calibration", rest_offset_v=0.5)}, "strain gage at rest", "`graspwatch calibrate tare`",
     ),
     "motor command not read back": (
         {"mistake": Mistake.READBACK_OPEN}, "motor command read back", "ai2 stays at zero: it is not connected to ao0",

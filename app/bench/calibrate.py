@@ -1,0 +1,260 @@
+"""`graspwatch calibrate`: measure a tool's constants at the bench, and write them to a dated tool file of its own."""
+
+import getpass
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import date, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from app.options import RECORDED_WITH, ConfigOption, JsonOption, ToolOption, errors
+from config.errors import CalibrationError, ConfigurationError, ToolError
+from config.load import file_of_tool, load_settings, load_tool
+from config.schema import Measured, Tool, ToolKind
+
+if TYPE_CHECKING:
+    from acquisition.bench.fits import Constant, Fit
+    from acquisition.bench.measuring import Bench
+
+app = typer.Typer(
+    help="Measure a tool's constants without tissue. Each command fits them with their confidence intervals, refuses a "
+    "fit that cannot be trusted, and writes a new tool file with the day in its name; the old one stays.",
+    no_args_is_help=True,
+)
+T = TypeVar("T")
+
+PersonOption = Annotated[str | None, typer.Option(help="Who calibrates; default: this computer's user.")]
+DaysOption = Annotated[int, typer.Option("--valid-days", min=1, max=3650, help="From when on a new one is asked for.")]
+IntoOption = Annotated[
+    Path | None,
+    typer.Option("--into", metavar="FOLDER", help="Where the new file goes; default: beside the tool's file."),
+]
+YesOption = Annotated[bool, typer.Option("--yes", help="All is prepared: ask nothing. The jaws may move.")]
+EMPTY = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
+
+
+class _Session:
+    """One calibration: what it asks, and what becomes of its fit."""
+
+    def __init__(
+        self, tool: str | None, config: Path | None, person: str | None, days: int, into: Path | None, yes: bool,
+        as_json: bool, usual_tool: str | None = None,
+    ) -> None:  # fmt: skip
+        self._name = tool or usual_tool or load_settings(config).tool
+        self.tool: Tool = load_tool(self._name)
+        self._person, self._days = person or getpass.getuser(), days
+        own = self._name.endswith(".toml") or "/" in self._name
+        self._into = into or (file_of_tool(self._name).parent if own else Path())
+        self._yes, self._as_json = yes, as_json
+        if not (yes or errors.is_terminal):
+            raise ConfigurationError("Nobody is at a terminal to answer: prepare all, then say so with --yes.")
+        from config.writing import check_folder  # takes a while
+
+        check_folder(self._into)
+
+    def bench(self) -> "Bench":
+        """The tool, for measuring."""
+        if self.tool.kind is ToolKind.RECORDING:
+            raise ConfigurationError(f"The tool {self.tool.name!r} is for recordings: name the real one with --tool.")
+        from acquisition.tools import open_for_calibration  # takes a second
+
+        return open_for_calibration(self.tool)
+
+    def say(self, text: str) -> None:
+        errors.print(escape(text), soft_wrap=True)
+
+    def ask(self, question: str) -> None:
+        """Go on only if somebody agrees."""
+        if not self._yes and not typer.confirm(question, default=True, err=True):
+            raise CalibrationError("Broken off. Nothing was written.")
+
+    def read(self, measure: Callable[[], T]) -> T:
+        """One reading; where it fails and somebody is there, again if they want."""
+        while True:
+            try:
+                return measure()
+            except (CalibrationError, ToolError) as error:
+                if self._yes:
+                    raise
+                errors.print(f"[red]{escape(str(error))}[/]", soft_wrap=True)
+                if not typer.confirm("Read it again?", default=True, err=True):
+                    raise
+
+    def finish(self, fit: "Callable[[], Fit]") -> None:
+        """Fit, show, and write the new tool file with its plot."""
+        try:
+            found = fit()
+        except CalibrationError as error:
+            raise CalibrationError(f"{error} Nothing was written.") from None
+        from config.writing import write_calibrated  # takes a while
+
+        today = date.today()
+        values = {each.key: each.value for each in found.constants}
+        measured = {
+            each.key.partition(".")[2]: Measured(
+                value=each.value, low=each.low, high=each.high, unit=each.unit, residual=each.residual,
+                residual_unit=each.residual_unit, readings=each.readings, date=today, person=self._person,
+            )
+            for each in found.constants
+        }  # fmt: skip
+        path = write_calibrated(
+            self._name, values, measured, today, self._person, today + timedelta(days=self._days), self._into
+        )
+        plot = path.with_suffix(".html")
+        plot.write_text(_page(found, f"{self.tool.title}: {', '.join(measured)}, {today}"), encoding="utf-8")
+        if self._as_json:
+            constants = [asdict(each) | {"was": self._old(each)} for each in found.constants]
+            print(json.dumps({"file": str(path), "plot": str(plot), "constants": constants}, indent=2))
+            return
+        console = Console(highlight=False)
+        for each in found.constants:
+            console.print(self._line(each), soft_wrap=True)
+        for remark in found.remarks:
+            console.print(f"[yellow]{escape(remark)}[/]", soft_wrap=True)
+        console.print(f"Written: {path}, its plot: {plot}. Use it with --tool {path}", soft_wrap=True)
+
+    def _old(self, constant: "Constant") -> float | None:
+        table, key = constant.key.split(".")
+        return getattr(getattr(self.tool, table), key)
+
+    def _line(self, constant: "Constant") -> str:
+        before, unit = self._old(constant), constant.unit
+        was = f"was {before:.5g}" if before is not None else "was not given"
+        return (
+            f"[bold]{constant.key}[/] {constant.value:.5g} {unit} (95 %: {constant.low:.5g} to {constant.high:.5g}), "
+            f"{was}; residual {constant.residual:.2g} {constant.residual_unit}, {constant.readings} readings"
+        )
+
+
+@app.command()
+def tare(
+    tool: ToolOption = None, person: PersonOption = None, days: DaysOption = 90, into: IntoOption = None,
+    yes: YesOption = False, config: ConfigOption = None, as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Rest voltage of the strain gage and its noise: ten seconds with the jaws open and nothing on the tool.
+
+    Example: graspwatch calibrate tare --tool nidaq
+    """
+    session = _Session(tool, config, person, days, into, yes, as_json)
+    bench = session.bench()
+    session.ask("Are the jaws open and empty, does nothing pull on the tool, and is the amplifier warm?")
+    from acquisition.bench import fits
+
+    rest = session.read(bench.at_rest)
+    session.finish(lambda: fits.tare(rest, session.tool))
+
+
+@app.command()
+def strain(
+    weights: Annotated[
+        str, typer.Option(metavar="N,N,…", help="Pulls on the handle in the order of their hanging, newtons.")
+    ] = "0,2,4,6,8,10,5,0",
+    tool: ToolOption = None, person: PersonOption = None, days: DaysOption = 90, into: IntoOption = None,
+    yes: YesOption = False, config: ConfigOption = None, as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Gain of the strain gage, Eq. (1), from known weights on the handle: 1 kg pulls with 9.81 N.
+
+    Example: graspwatch calibrate strain --tool nidaq --weights 0,2,4,6,8,10,5,0
+    """
+    from acquisition.bench import fits
+
+    session = _Session(tool, config, person, days, into, yes, as_json)
+    pulls_n = fits.check_pulls(_numbers(weights, "--weights"))
+    bench, readings = session.bench(), []
+    for n, pull_n in enumerate(pulls_n.tolist(), 1):
+        session.ask(f"{n} of {len(pulls_n)}: does {f'a pull of {pull_n:g} N' if pull_n else 'nothing'} hang, at rest?")
+
+        def measure(pull_n: float = pull_n) -> "fits.Signals":
+            reading = bench.under(pull_n)
+            fits.check_steady(reading, f"{pull_n:g} N", session.tool)
+            return reading
+
+        reading = session.read(measure)
+        session.say(f"{pull_n:>8g} N  {reading.strain_v.mean():9.4f} V")
+        readings.append(reading)
+    session.finish(lambda: fits.strain(pulls_n, readings, session.tool))
+
+
+@app.command()
+def stretch(
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FILE]…", help="Recordings whose jaws shut, instead of moving a tool."),
+    ] = None,
+    tool: ToolOption = None, person: PersonOption = None, days: DaysOption = 90, into: IntoOption = None,
+    yes: YesOption = False, config: ConfigOption = None, as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Stretch of the cable, Eq. (3): empty jaws are shut gently, with a force that rises and falls.
+
+    Examples: graspwatch calibrate stretch --tool nidaq; graspwatch calibrate stretch liver4Hz1.lvm.gz --yes
+    """
+    from acquisition.bench import fits
+
+    session = _Session(
+        tool, config, person, days, into, yes or bool(recordings), as_json, RECORDED_WITH if recordings else None
+    )
+    if recordings:
+        from acquisition.bench.measuring import passes_in
+        from acquisition.recordings.playing import Recording
+
+        passes = [each for path in recordings for each in passes_in(Recording(path, session.tool))]
+    else:
+        bench = session.bench()
+        session.ask(EMPTY)
+        passes = session.read(bench.shut)
+    session.finish(lambda: fits.stretch(passes, session.tool))
+
+
+@app.command()
+def geometry(
+    gauges: Annotated[
+        str, typer.Option(metavar="MM,MM,…", help="Thickness of the gauges between the jaws, mm; 0: none.")
+    ] = "0,2,4,6,8",
+    tool: ToolOption = None, person: PersonOption = None, days: DaysOption = 90, into: IntoOption = None,
+    yes: YesOption = False, config: ConfigOption = None, as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Zero of the encoder (the opening of the jaws) and its ratio to the handle, Eqs. (4) to (6), from gauges.
+
+    Calibrate the stretch before: it is taken out of the angles.
+
+    Example: graspwatch calibrate geometry --tool nidaq --gauges 0,2,4,6,8
+    """
+    from acquisition.bench import fits
+
+    session = _Session(tool, config, person, days, into, yes, as_json)
+    gauges_m = fits.check_gauges([each * 1e-3 for each in _numbers(gauges, "--gauges")])
+    bench, passes = session.bench(), []
+    for n, gauge_m in enumerate(gauges_m.tolist(), 1):
+        what = f"the gauge of {gauge_m * 1e3:g} mm between the jaws" if gauge_m else "nothing between the jaws"
+        session.ask(f"{n} of {len(gauges_m)}: is {what}, is nobody near them, and may they close with half a volt?")
+        found = session.read(lambda gauge_m=gauge_m: bench.on_gauge(gauge_m))
+        session.say(f"{gauge_m * 1e3:>8g} mm  {found.encoder_deg.mean():9.1f} degrees")
+        passes.append(found)
+    session.finish(lambda: fits.geometry(gauges_m, passes, session.tool))
+
+
+def _numbers(text: str, option: str) -> list[float]:
+    try:
+        return [float(each) for each in text.split(",")]
+    except ValueError:
+        raise ConfigurationError(f"{option} takes numbers with commas between, like 0,2,4,6; found: {text}") from None
+
+
+def _page(fit: "Fit", title: str) -> str:
+    """The plot as a page of its own."""
+    import plotly.graph_objects as go  # takes a second
+
+    (x, y), (line_x, line_y) = fit.points, fit.line
+    figure = go.Figure(
+        [
+            go.Scatter(x=x, y=y, mode="markers", name="readings"),
+            go.Scatter(x=line_x, y=line_y, mode="lines", name="fit"),
+        ]
+    )
+    figure.update_layout(title=title, xaxis_title=fit.axes[0], yaxis_title=fit.axes[1], template="simple_white")
+    return figure.to_html(config={"displaylogo": False})

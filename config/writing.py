@@ -1,0 +1,92 @@
+"""Writes tool files: a new one with what was measured, beside the old one, which stays as it is."""
+
+import re
+import tempfile
+from collections.abc import Mapping
+from datetime import date
+from pathlib import Path
+
+import tomlkit
+from tomlkit.items import Table
+
+from config.errors import ConfigurationError
+from config.load import file_of_tool, load_tool
+from config.schema import Measured
+
+DATED = re.compile(r"-\d{4}-\d{2}-\d{2}(-\d+)?$")
+MOST_A_DAY = 1000
+DIGITS = 6
+
+
+def write_calibrated(
+    tool: str, values: Mapping[str, float], measured: Mapping[str, Measured], today: date, person: str, expires: date,
+    into: Path,
+) -> Path:  # fmt: skip
+    """A tool file like that of `tool` (a name or a path), with other constants.
+
+    Args:
+        values: by their place in the file, `table.key`, e.g. `calibration.newton_per_volt`.
+        measured: how those of `[calibration]` and `[geometry]` came about, by the key alone.
+        into: folder of the new file; it is called like the old one, with the day, and never overwrites any.
+
+    Raises:
+        ConfigurationError: the folder cannot be written to, or the outcome is no valid tool file.
+    """
+    old = file_of_tool(tool)
+    document = tomlkit.parse(old.read_text(encoding="utf-8"))
+    for place, value in values.items():
+        table, key = place.split(".")
+        document[table][key] = _rounded(value)
+    calibration: Table = document["calibration"]
+    calibration["date"], calibration["person"], calibration["expires"] = today.isoformat(), person, expires
+    kept = calibration.setdefault("measured", tomlkit.table(is_super_table=True))
+    for key, how in measured.items():
+        kept[key] = {name: _rounded(value) for name, value in how.model_dump().items()}
+    try:
+        path = _write_new(into, DATED.sub("", old.stem) + f"-{today.isoformat()}", _spaced(tomlkit.dumps(document)))
+    except OSError as error:
+        raise _unwritable(into, error) from None
+    load_tool(str(path))
+    return path
+
+
+def _rounded(value: object) -> object:
+    """A number as it stands in a file."""
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+def _spaced(text: str) -> str:
+    """With an empty line before each table."""
+    return re.sub(r"(?<!\n)\n\[", "\n\n[", text)
+
+
+def check_folder(folder: Path) -> None:
+    """Whether tool files can be written there; before anybody measures in vain.
+
+    Raises:
+        ConfigurationError: they cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+
+
+def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
+    return ConfigurationError(
+        f"{folder}: no tool file can be written there ({error.strerror}). Name another folder with --into."
+    )
+
+
+def _write_new(folder: Path, stem: str, text: str) -> Path:
+    for n in range(1, MOST_A_DAY):
+        path = folder / (f"{stem}.toml" if n == 1 else f"{stem}-{n}.toml")
+        try:
+            with path.open("x", encoding="utf-8") as file:
+                file.write(text)
+        except FileExistsError:
+            continue
+        return path
+    raise FileExistsError(0, "a thousand of one day are there already")
