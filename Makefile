@@ -1,5 +1,5 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test long audit sbom bench safety soak dashboard figures screenshots wire lock clean
+.PHONY: run test long audit sbom bench safety soak dashboard figures screenshots reference wire lock clean
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
@@ -51,6 +51,9 @@ screenshots: $(VENV)/.installed app/static/index.html ## take the dashboard in e
 
 figures: $(VENV)/.installed ## run all studies, renew docs/estimation.md (needs Chromium)
 	$(BIN)/python docs/figures.py
+
+reference: $(VENV)/.installed ## renew docs/reference, which is generated
+	$(BIN)/python docs/reference.py
 
 wire: $(VENV)/.installed ## renew the schema that the dashboard's types are generated from
 	$(BIN)/python -m app.wire_schema

@@ -18,6 +18,7 @@ from app import __version__, problems
 from app.audit.deeds import Deeds
 from app.audit.watch import ChainWatch
 from app.demo import demonstrate
+from app.logs import log_aside
 from app.people.door import Loop, WebSocketDoor, allow_many_files, bounded
 from app.people.gate import Gate
 from app.people.guard import Guard
@@ -173,6 +174,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 def serve(app: FastAPI, listener: socket.socket, server: Server) -> None:
     """Serve until SIGINT or SIGTERM."""
+    log_aside()
     config = uvicorn.Config(
         app,
         http=bounded(server.most_connections),
@@ -182,6 +184,7 @@ def serve(app: FastAPI, listener: socket.socket, server: Server) -> None:
         ssl_certfile=server.tls_cert,
         ssl_keyfile=server.tls_key,
         server_header=False,
+        log_config=None,  # its loggers' lines go where all others do
         log_level="warning",
         access_log=False,
         proxy_headers=False,  # who asks is whose address it is; what a proxy says of that is noted as said

@@ -24,7 +24,7 @@ LOOPBACK = re.compile(r"(localhost|127\.0\.0\.1|\[::1\]):")
 class Model(BaseModel):
     """Base of all configuration: immutable, no unknown keys, no silent conversion of text to numbers."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 # --- tools -----------------------------------------------------------------------------------------------------------
@@ -114,6 +114,8 @@ class Geometry(Model):
 class Measured(Model):
     """How a constant of the tool file was measured: by `graspwatch calibrate`."""
 
+    constant: Slug
+    """Its key in the file."""
     value: Finite
     """The constant, in `unit`."""
     low: Finite
@@ -159,8 +161,8 @@ class Calibration(Model):
     """Who calibrated."""
     expires: datetime.date | None = None
     """From this day on the dashboard asks for a new calibration."""
-    measured: dict[str, Measured] = {}
-    """How each constant was measured, by its name."""
+    measured: tuple[Measured, ...] = ()
+    """How constants were measured: one table each."""
 
     def is_rest(self, strain_v: float) -> bool:
         """Whether the gage may read that at rest; False for NaN."""

@@ -2,7 +2,7 @@
 
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
@@ -19,14 +19,14 @@ DIGITS = 6
 
 
 def write_calibrated(
-    tool: str, values: Mapping[str, float], measured: Mapping[str, Measured], today: date, person: str, expires: date,
+    tool: str, values: Mapping[str, float], measured: Sequence[Measured], today: date, person: str, expires: date,
     into: Path,
 ) -> Path:  # fmt: skip
     """A tool file like that of `tool` (a name or a path), with other constants.
 
     Args:
         values: by their place in the file, `table.key`, e.g. `calibration.newton_per_volt`.
-        measured: how those of `[calibration]` and `[geometry]` came about, by the key alone.
+        measured: how each of them came about.
         into: folder of the new file; it is called like the old one, with the day, and never overwrites any.
 
     Raises:
@@ -39,9 +39,12 @@ def write_calibrated(
         document[table][key] = _rounded(value)
     calibration: Table = document["calibration"]
     calibration["date"], calibration["person"], calibration["expires"] = today.isoformat(), person, expires
-    kept = calibration.setdefault("measured", tomlkit.table(is_super_table=True))
-    for key, how in measured.items():
-        kept[key] = {name: _rounded(value) for name, value in how.model_dump().items()}
+    anew = {how.constant for how in measured}
+    kept = [table for table in calibration.pop("measured", []) if table["constant"] not in anew]
+    tables = tomlkit.aot()
+    for table in [*kept, *(how.model_dump() for how in measured)]:
+        tables.append(tomlkit.item({name: _rounded(value) for name, value in table.items()}))
+    calibration["measured"] = tables
     try:
         path = _write_new(into, DATED.sub("", old.stem) + f"-{today.isoformat()}", _spaced(tomlkit.dumps(document)))
     except OSError as error:

@@ -95,18 +95,20 @@ class _Session:
 
         today = date.today()
         values = {each.key: each.value for each in found.constants}
-        measured = {
-            each.key.partition(".")[2]: Measured(
+        measured = [
+            Measured(
+                constant=each.key.partition(".")[2],
                 value=each.value, low=each.low, high=each.high, unit=each.unit, residual=each.residual,
                 residual_unit=each.residual_unit, readings=each.readings, date=today, person=self._person,
             )
             for each in found.constants
-        }  # fmt: skip
+        ]  # fmt: skip
         path = write_calibrated(
             self._name, values, measured, today, self._person, today + timedelta(days=self._days), self._into
         )
         plot = path.with_suffix(".html")
-        plot.write_text(_page(found, f"{self.tool.title}: {', '.join(measured)}, {today}"), encoding="utf-8")
+        title = f"{self.tool.title}: {', '.join(how.constant for how in measured)}, {today}"
+        plot.write_text(_page(found, title), encoding="utf-8")
         if self._as_json:
             constants = [asdict(each) | {"was": self._old(each)} for each in found.constants]
             print(json.dumps({"file": str(path), "plot": str(plot), "constants": constants}, indent=2))

@@ -13,6 +13,7 @@ from config.writing import write_calibrated
 
 DAY = datetime.date(2026, 11, 28)
 MEASURED = Measured(
+    constant="newton_per_volt",
     value=12.3456789, low=12.2, high=12.5, unit="N/V", residual=0.001, residual_unit="V", readings=8, date=DAY,
     person="a test",
 )  # fmt: skip
@@ -21,7 +22,7 @@ MEASURED = Measured(
 def write(into: Path, tool: str = "nidaq", value: float = 12.3456789) -> Path:
     values = {"calibration.newton_per_volt": value, "geometry.opening_m": 0.0102}
     expires = DAY + datetime.timedelta(days=90)
-    return write_calibrated(tool, values, {"newton_per_volt": MEASURED}, DAY, "a test", expires, into)
+    return write_calibrated(tool, values, [MEASURED], DAY, "a test", expires, into)
 
 
 def test_only_what_was_measured_is_another(tmp_path: Path) -> None:
@@ -30,7 +31,8 @@ def test_only_what_was_measured_is_another(tmp_path: Path) -> None:
     old, new = tomllib.loads(file_of_tool("nidaq").read_text()), tomllib.loads(path.read_text())
     assert new["calibration"].pop("newton_per_volt") == 12.3457
     assert new["geometry"].pop("opening_m") == 0.0102
-    assert new["calibration"].pop("measured")["newton_per_volt"]["value"] == 12.3457
+    [measured] = new["calibration"].pop("measured")
+    assert (measured["constant"], measured["value"]) == ("newton_per_volt", 12.3457)
     assert new["calibration"].pop("expires") == datetime.date(2027, 2, 26)
     assert (new["calibration"].pop("date"), new["calibration"].pop("person")) == ("2026-11-28", "a test")
     for key in ("newton_per_volt", "date", "person"):
@@ -48,6 +50,8 @@ def test_the_old_one_stays_and_the_next_one_follows_it(tmp_path: Path) -> None:
     assert [path.name for path in (second, third)] == ["nidaq-2026-11-28-2.toml", "nidaq-2026-11-28-3.toml"]
     assert first.read_text() == content
     assert load_tool(str(third)).calibration.newton_per_volt == 14.0
+    assert len(load_tool(str(third)).calibration.measured) == 1  # the newest
+    hash(load_tool(str(third)))  # it is a key of caches
     assert load_tool(str(third)).calibration.is_expired(datetime.date(2027, 2, 26))
     assert not load_tool(str(third)).calibration.is_expired(datetime.date(2027, 2, 25))
 

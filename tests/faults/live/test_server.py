@@ -99,6 +99,14 @@ def test_a_storm_of_requests_delays_neither_the_tool_nor_stop(service, board, re
     assert "graspwatch_lost_samples_total 0.0" in service.http.get("/metrics").text
 
 
+def test_an_error_output_that_nobody_reads_holds_nobody_up(service, board):
+    """Its pipe holds 64 kB; a paused terminal does the same."""
+    service.run(**LONG)
+    board.wait_for_force()
+    os.kill(service.process.pid, signal.SIGRTMIN + 1)
+    assert stop_took_ms(service, board) <= STOP_S * 1e3
+
+
 def stop_process(pid):
     os.kill(pid, signal.SIGSTOP)
     time.sleep(2.0)

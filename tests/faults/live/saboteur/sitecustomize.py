@@ -1,5 +1,6 @@
 """Put into every process of a service under test by PYTHONPATH: signals on which its main thread fails from inside."""
 
+import logging
 import signal
 import time
 
@@ -14,6 +15,12 @@ def hog(number, frame):
         kept.append(bytearray(b"x") * (64 << 20))
 
 
+def chatter(number, frame):
+    for _ in range(2000):
+        logging.getLogger("graspwatch").error("x" * 1000)
+
+
 signal.signal(signal.SIGUSR1, fail)
 signal.signal(signal.SIGUSR2, hog)
 signal.signal(signal.SIGRTMIN, lambda number, frame: time.sleep(2.0))
+signal.signal(signal.SIGRTMIN + 1, chatter)

@@ -1,0 +1,46 @@
+"""The reference of the tool file: as the classes are now, with every field explained, and true of the shipped files."""
+
+import importlib.util
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from config.load import CONFIG_DIR
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def generated() -> dict[str, str]:
+    spec = importlib.util.spec_from_file_location("reference", DOCS / "reference.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.written()
+
+
+@pytest.mark.parametrize("name", ["tool-file.md", "tool.schema.json"])
+def test_it_is_as_the_classes_are(name: str) -> None:
+    assert (DOCS / "reference" / name).read_text(encoding="utf-8") == generated()[name], "run: make reference"
+
+
+def test_every_field_is_explained() -> None:
+    schema = json.loads(generated()["tool.schema.json"])
+    tables = {"Tool": schema, **schema["$defs"]}
+    unexplained = [
+        f"{table}.{name}"
+        for table, about in tables.items()
+        for name, prop in about.get("properties", {}).items()
+        if not (prop.get("description") or "$ref" in json.dumps(prop))
+    ]
+    assert unexplained == []
+
+
+@pytest.mark.parametrize("path", sorted((CONFIG_DIR / "tools").glob("*.toml")), ids=lambda path: path.stem)
+def test_the_shipped_files_fit_the_schema(path: Path) -> None:
+    def plain(value: Any) -> Any:
+        return json.loads(json.dumps(value, default=str))
+
+    jsonschema.validate(plain(tomllib.loads(path.read_text())), json.loads(generated()["tool.schema.json"]))
