@@ -183,8 +183,16 @@ class Stop:
     why: str
 
 
-Command = Arm | Disarm | Acknowledge | Start | Stop
-_COMMANDS = {kind.__name__.lower(): kind for kind in (Arm, Disarm, Acknowledge, Start, Stop)}
+@dataclass(frozen=True, slots=True)
+class Put:
+    """For the simulated tool: a pull on its handle, N, and a gauge between its jaws, m; 0: none, None: tissue again."""
+
+    pull_n: float
+    gauge_m: float | None
+
+
+Command = Arm | Disarm | Acknowledge | Start | Stop | Put
+_COMMANDS = {kind.__name__.lower(): kind for kind in (Arm, Disarm, Acknowledge, Start, Stop, Put)}
 
 
 def pack_command(command: Command, until_ns: int) -> bytes:

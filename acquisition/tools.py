@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import nidaqmx
 
-from acquisition.bench.measuring import Bench
 from acquisition.bench.walk import Walk
 from acquisition.nidaq import NidaqTool, session_options
 from config.load import holdable, load_library
 from config.schema import TissueLibrary, Tool, ToolKind
 
 if TYPE_CHECKING:
+    from acquisition.bench.measuring import Bench
     from acquisition.simulation.grasper import SimulatedGrasper
 
 
@@ -39,8 +39,10 @@ def open_bench(tool: Tool, library: TissueLibrary, reading: AbstractContextManag
     return Walk(tool, options, clock, reading)
 
 
-def open_for_calibration(tool: Tool) -> Bench:
+def open_for_calibration(tool: Tool) -> "Bench":
     """The tool to be calibrated, see `Bench`; on a simulated one weights and gauges are put by themselves."""
+    from acquisition.bench.measuring import Bench  # the worker has no use for it
+
     if tool.kind is ToolKind.NIDAQ:
         return Bench(tool, session_options(tool), time.monotonic_ns)
     library = load_library("porcine")  # nothing of it is held

@@ -79,6 +79,8 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
                 answer = _obey(command, acquisition)
                 if isinstance(command, bus.Start) and command.tissue and grasper and not answer.refused:
                     grasper.hold(command.tissue)
+                if isinstance(command, bus.Put) and grasper:
+                    grasper.hung_n, grasper.gauge_m = command.pull_n, command.gauge_m
                 commands.send(bus.pack_answer(answer))
         acquisition.stop("the service was ended")
         _tell_news(acquisition, publisher)

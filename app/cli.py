@@ -102,7 +102,10 @@ def serve(
         check_driver(chosen)
     rig = load_tool(RECORDED_WITH)
     settings = _with_tls(settings, tls_cert, tls_key)
-    _serve(ServicePlan(chosen, library, settings, held, seed, data_folder(data, settings), rig, demo=demo), host, port)
+    folder, source = data_folder(data, settings), tool or settings.tool
+    _serve(
+        ServicePlan(chosen, library, settings, held, seed, folder, rig, demo=demo, tool_source=source), host, port
+    )  # fmt: skip
 
 
 @app.command()

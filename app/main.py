@@ -17,6 +17,7 @@ from starlette.middleware.base import RequestResponseEndpoint
 from app import __version__, problems
 from app.audit.deeds import Deeds
 from app.audit.watch import ChainWatch
+from app.bench.desk import CalibrationDesk
 from app.demo import demonstrate
 from app.logs import log_aside
 from app.people.door import Loop, WebSocketDoor, allow_many_files, bounded
@@ -31,6 +32,7 @@ from app.report.reports import Reports
 from app.routes import (
     alarms,
     audit,
+    calibration,
     catalogue,
     control,
     history,
@@ -49,7 +51,7 @@ from config.schema import Server
 
 STATIC = Path(__file__).parent / "static"
 DEAD_READER_MS = 10_000
-PAGES = ("/", "/recordings", "/recordings/{name}", "/tissues", "/studies", "/system")
+PAGES = ("/", "/recordings", "/recordings/{name}", "/tissues", "/studies", "/system", "/calibration")
 DOCUMENTATION = ("/docs", "/redoc", "/static-offline-docs")
 POLICY = "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 DOCUMENTATION_POLICY = "default-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'"
@@ -60,10 +62,8 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-ROUTERS = tuple(
-    each.router
-    for each in (runs, control, session, history, audit, alarms, catalogue, system, studies, recordings, live)
-)
+ROUTES = (runs, control, calibration, session, history, audit, alarms, catalogue, system, studies, recordings, live)
+ROUTERS = tuple(each.router for each in ROUTES)
 LONGEST_WORD_BYTES = 65_536  # of a viewer
 GRACE_S = 0.3
 """At the end, for answers that are under way; a download that takes longer is cut."""
@@ -81,6 +81,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         station = app.state.station = Station(plan, store)
+        app.state.calibration = CalibrationDesk(plan, station)
         desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
         index = contextlib.aclosing(station.index)  # closed last: whatever ends has something to tell
         films, shelf = contextlib.aclosing(Films(plan)), contextlib.aclosing(Shelf(plan))

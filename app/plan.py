@@ -12,7 +12,7 @@ from config.schema import Settings, TissueLibrary, Tool
 @dataclass(frozen=True, slots=True)
 class ServicePlan:
     """`data` is the folder for everything that is kept. `recorded_with` is the tool file of recordings that
-    name none.
+    name none. `tool_source` is what the tool was called by: its name, or its file.
 
     With `opened` there is no tool: the service only shows these recordings. `demo` repeats a protocol on each tissue in
     turn.
@@ -27,6 +27,7 @@ class ServicePlan:
     recorded_with: Tool
     opened: tuple[Path, ...] = ()
     demo: bool = False
+    tool_source: str = ""
 
     @property
     def index_url(self) -> URL:

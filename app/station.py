@@ -98,6 +98,7 @@ class Station:
         self._free_bytes = free_bytes(plan.data)
         self._last_tick = -1
         self._fault_texts: dict[str, str] = {}
+        self.followers: list[Callable[[SampleBlock], None]] = []  # get every block
         self.realtime: dict[str, str] = {}  # what the system granted each worker
         self._died_ns = 0  # the last acquisition worker
         self._ending = False
@@ -202,6 +203,14 @@ class Station:
         self.tell_state()
         return self.runs.get(run.id) or run
 
+    async def put(self, what: bus.Put) -> None:
+        """What a simulated tool's handle and jaws get.
+
+        Raises:
+            ServiceError: the acquisition does not answer.
+        """
+        await self._commander.send(what)
+
     def _check_free(self) -> None:
         """
         Raises:
@@ -263,6 +272,8 @@ class Station:
         self._measure_lateness(block)
         self.metrics.samples.inc(len(block.samples))
         self._count_lost(block.lost_samples + missing * len(block.samples))
+        for follow in self.followers:
+            follow(block)
         self.metrics.missing_blocks.labels("server").set(self._samples.missing + self._estimates.missing)
         self._joiner.take_samples(block)
 

@@ -567,6 +567,72 @@ class System(Wire):
     settings: dict[str, Any] = Field(description="The settings in use")
 
 
+class CalibrationKind(StrEnum):
+    """What is measured."""
+
+    TARE = "tare"
+    STRAIN = "strain"
+    STRETCH = "stretch"
+    GEOMETRY = "geometry"
+
+
+class CalibrationRequest(Wire):
+    """Begin a calibration of the tool, without tissue."""
+
+    what: CalibrationKind
+    values: Annotated[list[Annotated[float, Field(ge=0, le=1000)]], Field(max_length=50)] = Field(
+        default_factory=list, description="Pulls on the handle, N (strain), or gauges between the jaws, mm (geometry)"
+    )
+    person: Annotated[str, Field(max_length=60)] | None = None
+    valid_days: Annotated[int, Field(ge=1, le=3650)] = 90
+
+
+class CalibrationReading(Wire):
+    """One reading: its weight or gauge, and the means of the signals; after motion over rest and open jaws."""
+
+    value: float
+    strain_v: float
+    encoder_deg: float
+
+
+class Constant(Wire):
+    """A constant of the tool file as measured, with its 95 % confidence interval."""
+
+    key: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    residual: float = Field(description="RMS of what the fit leaves")
+    residual_unit: str
+    readings: int
+    before: float | None
+
+
+class CalibrationResult(Wire):
+    """What was fitted, the tool file it stands in, and the plot."""
+
+    file: str
+    constants: list[Constant]
+    remarks: list[str]
+    axes: list[str]
+    x: list[float]
+    y: list[float]
+    line_x: list[float]
+    line_y: list[float]
+
+
+class Calibration(Wire):
+    """The calibration under way, or the last one."""
+
+    what: CalibrationKind | None
+    values: list[float] = Field(description="Of all readings in their order; the next is that after the last reading")
+    readings: list[CalibrationReading]
+    reading: bool = Field(description="Whether one is being taken")
+    problem: str | None = Field(description="Why the last reading or the fit was refused")
+    result: CalibrationResult | None
+
+
 class SignIn(Wire):
     """Sign a browser in."""
 

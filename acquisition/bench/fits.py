@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.stats import t as student
 
 from acquisition.bench.checks import RAIL_SHARE, Signals
 from acquisition.calibration import to_jaw
@@ -58,6 +56,12 @@ class Fit:
     line: tuple[np.ndarray, np.ndarray]
     axes: tuple[str, str]
     remarks: tuple[str, ...] = field(default=())
+
+
+def before(constant: Constant, tool: Tool) -> float | None:
+    """What the tool file says."""
+    table, key = constant.key.split(".")
+    return getattr(getattr(tool, table), key)
 
 
 def tare(rest: Signals, tool: Tool) -> Fit:
@@ -236,6 +240,8 @@ def geometry(gauges_m: Sequence[float], passes: Sequence[Pass], tool: Tool) -> F
     Raises:
         CalibrationError: too few gauges, readings that do not follow them, or none that the linkage can have.
     """
+    from scipy.optimize import least_squares  # takes a while, and the service needs it only for this
+
     thick_m = check_gauges(gauges_m)
     stretch_deg = tool.calibration.encoder_deg_per_volt
     turned_deg = np.array([float(np.mean(p.encoder_deg - stretch_deg * p.strain_v)) for p in passes])
@@ -364,4 +370,6 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
 
 def _quantile(freedom: int) -> float:
     """Student's t for a two-sided interval."""
-    return float(student.ppf((1 + CONFIDENCE) / 2, freedom))
+    from scipy.special import stdtrit  # takes a while, and the service needs it only for this
+
+    return float(stdtrit(freedom, (1 + CONFIDENCE) / 2))

@@ -3,44 +3,49 @@
 import multiprocessing
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from typing import Any
 
 import numpy as np
 
 from acquisition.bench.checks import lateness_ms
 from acquisition.bench.jaws import blocks_in
+from acquisition.nidaq import NidaqTool
 from acquisition.pipeline import Acquisition
 from acquisition.process import take_realtime
-from acquisition.tools import open_tool
-from acquisition.worker import REALTIME_PRIORITY
 from config.errors import ToolError
 from config.schema import Realtime, Settings, TissueLibrary, Tool
 
 SETTLING_S = 1.0
+PRIORITY = 80  # that of the acquisition worker
+Opens = Callable[[Tool, TissueLibrary, str, int], tuple[NidaqTool, Any]]
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99_9": 0.999, "longest": 1.0}
 
 
 @dataclass(frozen=True, slots=True)
 class Jitter:
-    """Lateness of blocks, ms, by the names of QUANTILES; and what the system granted."""
+    """Lateness of blocks, ms, by the names of QUANTILES; what the system granted; what ended the tool early."""
 
     late_ms: dict[str, float]
     blocks: int
     granted: str
+    ended: str | None
 
 
-def measure(tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, seconds: float) -> Jitter:
+def measure(
+    open_tool: Opens, tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, seconds: float
+) -> Jitter:  # fmt: skip
     """Read the tool at rest, motor at zero.
 
     Raises:
-        ToolError: the tool cannot be opened, or a block came too late for it to go on.
+        ToolError: the tool cannot be opened.
     """
     near, far = multiprocessing.Pipe()
     context = multiprocessing.get_context("spawn")
-    process = context.Process(target=_read, args=(tool, library, settings, wanted, seconds, far))
+    process = context.Process(target=_read, args=(open_tool, tool, library, settings, wanted, seconds, far))
     process.start()
     far.close()
     try:
@@ -54,25 +59,30 @@ def measure(tool: Tool, library: TissueLibrary, settings: Settings, wanted: Real
 
 
 def _read(
-    tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, seconds: float, line: Connection
+    open_tool: Opens, tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, seconds: float,
+    line: Connection,
 ) -> None:  # fmt: skip
-    source, _ = open_tool(tool, library, next(iter(library.tissues)), seed=0)
+    source, _ = open_tool(tool, library, next(iter(library.tissues)), 0)
+    most, blocks, ended = blocks_in(seconds, tool), 0, None
+    ticks, done_ns = np.empty(most), np.empty(most, np.int64)
     try:
         with source:
             acquisition = Acquisition(source, tool, settings.conditioning)
-            granted = take_realtime(wanted, REALTIME_PRIORITY, place=0)
+            granted = take_realtime(wanted, PRIORITY, place=0)
             for _ in range(blocks_in(SETTLING_S, tool)):
                 acquisition.turn()
-            blocks = blocks_in(seconds, tool)
-            ticks, done_ns = np.empty(blocks), np.empty(blocks, np.int64)
-            for n in range(blocks):
+            while blocks < most:
                 block = acquisition.turn()
-                ticks[n], done_ns[n] = block.samples["tick"][-1], time.monotonic_ns()
+                ticks[blocks], done_ns[blocks] = block.samples["tick"][-1], time.monotonic_ns()
+                blocks += 1
     except ToolError as error:
-        line.send(str(error))
+        ended = str(error)
+    if blocks < 2:
+        line.send(ended)
         return
-    late_ms = lateness_ms(ticks, done_ns)[1]
-    line.send(Jitter({name: float(np.quantile(late_ms, at)) for name, at in QUANTILES.items()}, blocks, str(granted)))
+    late_ms = lateness_ms(ticks[:blocks], done_ns[:blocks])[1]
+    quantiles = {name: float(np.quantile(late_ms, at)) for name, at in QUANTILES.items()}
+    line.send(Jitter(quantiles, blocks, str(granted), ended))
 
 
 @contextmanager

@@ -14,9 +14,11 @@ from acquisition.contact import COMMAND_ON_V
 from acquisition.nidaq import NidaqTool
 from acquisition.recordings.playing import Recording
 from config.errors import CalibrationError
-from config.schema import Tool
+from config.schema import Custom, Protocol, Tool
 
 TARE_S, WEIGHT_S, REST_S = 10.0, 2.0, 1.0
+CLOSE_S, SHUT_S, STEP_S, LEVEL_S, OPEN_S = 0.5, 2.5, 0.01, 0.2, 1.0
+SETTLING_S = 0.08
 OPENINGS = 4  # readings at rest, until the jaws stand open
 PASSES = 6
 LEVELS_V = tuple(np.linspace(0.1, MOVE_V, 9).tolist())
@@ -107,6 +109,53 @@ class Bench:
         levels = [jaws.hold(level_v) for level_v in levels_v]
         means = [(float(each.strain_v.mean()) - rest_v, float(each.encoder_deg.mean())) for each in levels]
         return Pass(*(np.array(column) for column in zip(*means, strict=True)))
+
+
+def shutting() -> Protocol:
+    """What shuts empty jaws gently, then lets the force on them fall and rise in steps: played like any protocol."""
+    down, up = LEVELS_V[-2::-1], LEVELS_V[1:]
+    levels_v = [MOVE_V, *(level_v for n in range(PASSES) for level_v in (down if n % 2 == 0 else up))]
+    time_s, command_v = [0.0], [0.0]
+    for n, level_v in enumerate(levels_v):
+        begin_s = time_s[-1] + (CLOSE_S if n == 0 else STEP_S)
+        time_s += [begin_s, begin_s + (SHUT_S if n == 0 else LEVEL_S)]
+        command_v += [level_v, level_v]
+    wave = Custom(
+        shape="custom", time_s=(*time_s, time_s[-1] + CLOSE_S), command_v=(*command_v, 0.0), rest_s=OPEN_S
+    )
+    return Protocol(name="empty_jaws", title="Empty jaws, for a calibration", lead_in_s=REST_S, waveform=wave)
+
+
+def passes_played(signals: Signals, tool: Tool) -> list[Pass]:
+    """Passes of `shutting` as it was played: strain over rest, encoder since the open jaws.
+
+    Raises:
+        CalibrationError: it was not played to its end, or the encoder does not follow.
+    """
+    nearest = np.abs(signals.readback_v[:, None] - np.array(LEVELS_V)).argmin(axis=1)
+    held = np.abs(signals.readback_v - np.array(LEVELS_V)[nearest]) < (LEVELS_V[1] - LEVELS_V[0]) / 4
+    level = np.where(held, nearest, -1)
+    edges = np.flatnonzero(np.diff(level)) + 1
+    rate_hz, means = tool.board.sample_rate_hz, []
+    for piece in np.split(np.arange(len(level)), edges):
+        if level[piece[0]] < 0 or len(piece) < LEVEL_S / 2 * rate_hz:
+            continue
+        settled = piece[round(SETTLING_S * rate_hz) :] if means else piece[-round(LEVEL_S / 2 * rate_hz) :]
+        means.append(
+            (level[piece[0]], float(signals.strain_v[settled].mean()), float(signals.encoder_deg[settled].mean()))
+        )
+    driven = np.flatnonzero(signals.readback_v > COMMAND_ON_V)
+    steps = len(LEVELS_V) - 1
+    if len(means) != PASSES * steps + 1 or not len(driven) or driven[0] < rate_hz * REST_S / 2:
+        raise CalibrationError("The jaws were not closed and opened as they had to be: repeat, and touch nothing.")
+    rest_v = float(signals.strain_v[: driven[0]].mean())
+    open_deg = float(signals.encoder_deg[: driven[0]].mean())
+    turned = checks.encoder_direction(means[0][2] - open_deg, tool)
+    if turned.outcome is Outcome.FAIL:
+        raise CalibrationError(f"Broken off, {turned.check}: {turned.text}")
+    _, strain_v, encoder_deg = (np.array(column) for column in zip(*means, strict=True))
+    found = [slice(n * steps, (n + 1) * steps + 1) for n in range(PASSES)]
+    return [Pass(strain_v[each] - rest_v, encoder_deg[each] - open_deg) for each in found]
 
 
 def passes_in(recording: Recording) -> list[Pass]:

@@ -15,7 +15,7 @@ from rich.markup import escape
 from app.options import RECORDED_WITH, ConfigOption, JsonOption, ToolOption, errors
 from config.errors import CalibrationError, ConfigurationError, ToolError
 from config.load import file_of_tool, load_settings, load_tool
-from config.schema import Measured, Tool, ToolKind
+from config.schema import Tool, ToolKind
 
 if TYPE_CHECKING:
     from acquisition.bench.fits import Constant, Fit
@@ -91,18 +91,13 @@ class _Session:
             found = fit()
         except CalibrationError as error:
             raise CalibrationError(f"{error} Nothing was written.") from None
-        from config.writing import write_calibrated  # takes a while
+        from acquisition.bench.fits import before  # takes a while
+        from app.bench.results import measured_of
+        from config.writing import write_calibrated
 
         today = date.today()
         values = {each.key: each.value for each in found.constants}
-        measured = [
-            Measured(
-                constant=each.key.partition(".")[2],
-                value=each.value, low=each.low, high=each.high, unit=each.unit, residual=each.residual,
-                residual_unit=each.residual_unit, readings=each.readings, date=today, person=self._person,
-            )
-            for each in found.constants
-        ]  # fmt: skip
+        measured = measured_of(found, today, self._person)
         path = write_calibrated(
             self._name, values, measured, today, self._person, today + timedelta(days=self._days), self._into
         )
@@ -110,7 +105,7 @@ class _Session:
         title = f"{self.tool.title}: {', '.join(how.constant for how in measured)}, {today}"
         plot.write_text(_page(found, title), encoding="utf-8")
         if self._as_json:
-            constants = [asdict(each) | {"was": self._old(each)} for each in found.constants]
+            constants = [asdict(each) | {"was": before(each, self.tool)} for each in found.constants]
             print(json.dumps({"file": str(path), "plot": str(plot), "constants": constants}, indent=2))
             return
         console = Console(highlight=False)
@@ -120,13 +115,11 @@ class _Session:
             console.print(f"[yellow]{escape(remark)}[/]", soft_wrap=True)
         console.print(f"Written: {path}, its plot: {plot}. Use it with --tool {path}", soft_wrap=True)
 
-    def _old(self, constant: "Constant") -> float | None:
-        table, key = constant.key.split(".")
-        return getattr(getattr(self.tool, table), key)
-
     def _line(self, constant: "Constant") -> str:
-        before, unit = self._old(constant), constant.unit
-        was = f"was {before:.5g}" if before is not None else "was not given"
+        from acquisition.bench.fits import before
+
+        unit, old = constant.unit, before(constant, self.tool)
+        was = f"was {old:.5g}" if old is not None else "was not given"
         return (
             f"[bold]{constant.key}[/] {constant.value:.5g} {unit} (95 %: {constant.low:.5g} to {constant.high:.5g}), "
             f"{was}; residual {constant.residual:.2g} {constant.residual_unit}, {constant.readings} readings"

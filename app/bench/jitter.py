@@ -37,6 +37,7 @@ def bench(
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to measure.")
 
     from acquisition.bench.jitter import load, measure  # takes a second
+    from acquisition.tools import open_tool
 
     last_core = max(os.sched_getaffinity(0))
     ways = {
@@ -48,7 +49,7 @@ def bench(
     for busy in (False, True):
         for name, wanted in ways.items():
             with errors.status(f"Measuring: {name}, {'busy' if busy else 'idle'}"), load(busy):
-                result = measure(chosen, library, settings, wanted, seconds)
+                result = measure(open_tool, chosen, library, settings, wanted, seconds)
             found.append({"asked for": name, "machine": "busy" if busy else "idle", **asdict(result)})
     if as_json:
         about = {"machine": f"{platform.system()} {platform.release()}", "cores": os.cpu_count(), "tool": chosen.name}
@@ -59,5 +60,8 @@ def bench(
         table.add_row(each["machine"], each["asked for"], *(f"{value:.2f}" for value in each["late_ms"].values()))
     console = Console(highlight=False)
     console.print(table)
+    for each in found:
+        if each["ended"]:
+            console.print(f"{each['machine']}, {each['asked for']}: after {each['blocks']} blocks: {each['ended']}")
     for each in found[: len(ways)]:
         console.print(f"{each['asked for']}: {each['granted']}", soft_wrap=True)
