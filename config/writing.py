@@ -79,7 +79,7 @@ def check_folder(folder: Path) -> None:
 
 def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
     return ConfigurationError(
-        f"{folder}: no tool file can be written there ({error.strerror}). Name another folder with --into."
+        f"{folder}: no tool file can be written there ({error.strerror}). Mend that, or name another folder (--into)."
     )
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from acquisition.bench.checks import lateness_ms
 from acquisition.bench.jaws import blocks_in
+from acquisition.control import Acquisition
 from acquisition.nidaq import NidaqTool
-from acquisition.pipeline import Acquisition
 from acquisition.process import take_realtime
 from config.errors import ToolError
 from config.schema import Realtime, Settings, TissueLibrary, Tool

@@ -1,7 +1,6 @@
 """Takes the readings that a calibration is fitted to; the board is open only while one is read."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 import nidaqmx
 import numpy as np
@@ -9,17 +8,19 @@ import numpy as np
 from acquisition.bench import checks
 from acquisition.bench.checks import Outcome, Signals
 from acquisition.bench.fits import Pass
-from acquisition.bench.jaws import MOVE_V, Jaws, blocks_in, joined, zeroed_at_death
+from acquisition.bench.jaws import MOVE_V, blocks_in, joined, zeroed_at_death
+from acquisition.blocks import SampleBlock
 from acquisition.contact import COMMAND_ON_V
+from acquisition.control import Acquisition, RunEnd
 from acquisition.nidaq import NidaqTool
 from acquisition.recordings.playing import Recording
+from acquisition.safety import Safety
 from config.errors import CalibrationError
-from config.schema import Custom, Protocol, Tool
+from config.schema import Conditioning, Custom, Protocol, Tool
 
 TARE_S, WEIGHT_S, REST_S = 10.0, 2.0, 1.0
 CLOSE_S, SHUT_S, STEP_S, LEVEL_S, OPEN_S = 0.5, 2.5, 0.01, 0.2, 1.0
 SETTLING_S = 0.08
-OPENINGS = 4  # readings at rest, until the jaws stand open
 PASSES = 6
 LEVELS_V = tuple(np.linspace(0.1, MOVE_V, 9).tolist())
 PEAK_SHARES = (0.4, 0.75)
@@ -63,52 +64,52 @@ class Bench:
         """Empty jaws, shut, with a force that rises and falls in turn.
 
         Raises:
-            ToolError: the board failed, or something is in the jaws; the motor is at zero.
-            CalibrationError: the tool is not at rest before, or its encoder does not follow.
+            ToolError: the board failed; the motor is at zero.
+            CalibrationError: the tool cannot be armed, failed meanwhile, or its encoder does not follow.
         """
-        with self._closed_on(0.0) as (jaws, rest_v, _):
-            return [self._pass(jaws, rest_v, LEVELS_V[::-1] if n % 2 == 0 else LEVELS_V) for n in range(PASSES)]
+        return self._played(0.0)
 
     def on_gauge(self, gauge_m: float) -> Pass:
-        """Jaws that shut on a gauge; the encoder counts from the open jaws.
+        """The same with a gauge between the jaws, all passes in one.
 
         Raises:
-            ToolError: the board failed, or the force rose further than it may; the motor is at zero.
-            CalibrationError: the tool is not at rest before, or its encoder does not follow.
+            ToolError: the board failed; the motor is at zero.
+            CalibrationError: the tool cannot be armed, failed meanwhile, or its encoder does not follow.
         """
-        with self._closed_on(gauge_m) as (jaws, rest_v, open_deg):
-            found = self._pass(jaws, rest_v, LEVELS_V[::-1])
-        return Pass(found.strain_v, found.encoder_deg - open_deg)
+        return merged(self._played(gauge_m))
 
-    @contextmanager
-    def _closed_on(self, gauge_m: float) -> Iterator[tuple[Jaws, float, float]]:
-        """The jaws shut on something rigid, the strain gage's rest and the encoder with the jaws open."""
+    def _played(self, gauge_m: float) -> list[Pass]:
+        """`shutting`, armed and watched as any run."""
         self._put(0.0, gauge_m)
-        tool = self._tool
-        with NidaqTool(tool, self._options, self._clock) as source:
-            for _ in range(OPENINGS):
-                rest = joined([source.read_block() for _ in range(blocks_in(REST_S, tool))])
-                if checks.encoder_at_rest(rest).outcome is Outcome.PASS:
-                    break
-            judged = (checks.strain(rest, tool), checks.command_at_zero(rest, tool), checks.encoder_at_rest(rest))
-            for finding in judged:
-                if finding.outcome is Outcome.FAIL:
-                    raise CalibrationError(f"Not begun, {finding.check}: {finding.text}")
-            rest_v, open_deg = float(rest.strain_v.mean()), float(rest.encoder_deg.mean())
-            jaws = Jaws(source, tool, rest_v)
-            with zeroed_at_death(tool):
-                try:
-                    turned = checks.encoder_direction(jaws.shut() - open_deg, tool)
-                    if turned.outcome is Outcome.FAIL:
-                        raise CalibrationError(f"Broken off, {turned.check}: {turned.text}")
-                    yield jaws, rest_v, open_deg
-                finally:
-                    source.write_command(0.0)
+        tool, blocks = self._tool, []
+        with zeroed_at_death(tool), NidaqTool(tool, self._options, self._clock) as source:
+            acquisition = Acquisition(source, tool, Conditioning())
+            acquisition.arm()
+            while acquisition.safety is Safety.TESTING:
+                acquisition.turn()
+            if acquisition.safety is not Safety.ARMED:
+                raise CalibrationError(f"Not begun: {acquisition.why}.")
+            acquisition.start("calibration", shutting(), 1)
+            while acquisition.running:
+                blocks.append(acquisition.turn())
+        [ended] = acquisition.take_ended()
+        if ended.end is not RunEnd.FINISHED:
+            raise CalibrationError(f"Broken off with the motor at zero: {ended.why}.")
+        return passes_played(signals_of(blocks), tool)
 
-    def _pass(self, jaws: Jaws, rest_v: float, levels_v: tuple[float, ...]) -> Pass:
-        levels = [jaws.hold(level_v) for level_v in levels_v]
-        means = [(float(each.strain_v.mean()) - rest_v, float(each.encoder_deg.mean())) for each in levels]
-        return Pass(*(np.array(column) for column in zip(*means, strict=True)))
+
+def merged(passes: Sequence[Pass]) -> Pass:
+    """All readings of several passes."""
+    return Pass(*(np.concatenate([getattr(each, name) for each in passes]) for name in Pass.__slots__))
+
+
+def signals_of(blocks: Sequence[SampleBlock]) -> Signals:
+    """The raw signals of consecutive blocks."""
+    samples = np.concatenate([block.samples for block in blocks])
+    return Signals(
+        samples["strain_v"], samples["motor_command_v"], (samples["touch_1_v"], samples["touch_2_v"]),
+        samples["encoder_deg"],
+    )  # fmt: skip
 
 
 def shutting() -> Protocol:

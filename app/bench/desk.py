@@ -5,8 +5,6 @@ import getpass
 from datetime import date, timedelta
 from pathlib import Path
 
-import numpy as np
-
 from acquisition import bus
 from acquisition.bench import fits, measuring
 from acquisition.bench.checks import Signals
@@ -20,7 +18,7 @@ from app.wire import Calibration, CalibrationKind, CalibrationReading, Calibrati
 from config.errors import CalibrationError, RefusedError, ServiceError
 from config.load import load_tool
 from config.schema import Tool, ToolKind
-from config.writing import write_calibrated
+from config.writing import check_folder, write_calibrated
 
 LATE_S = 3.0
 STILL_S = {CalibrationKind.TARE: measuring.TARE_S, CalibrationKind.STRAIN: measuring.WEIGHT_S}
@@ -51,8 +49,10 @@ class CalibrationDesk:
         Raises:
             CalibrationError: the weights or gauges tell nothing.
             RefusedError: a reading is under way.
+            ConfigurationError: the tool file could not be written.
         """
         self._check_idle()
+        check_folder(self._folder)
         values = [0.0]
         if asked.what is CalibrationKind.STRAIN:
             values = fits.check_pulls(asked.values).tolist()
@@ -126,7 +126,7 @@ class CalibrationDesk:
         finally:
             taken, self._blocks = self._blocks or [], None
             await self._put(0.0, None)
-        return _joined(taken)
+        return measuring.signals_of(taken)
 
     async def _moved(self, what: CalibrationKind, value: float, by: str | None) -> list[Pass]:
         await self._put(0.0, value * 1e-3 if what is CalibrationKind.GEOMETRY else 0.0)
@@ -144,7 +144,8 @@ class CalibrationDesk:
         finally:
             taken, self._blocks = self._blocks or [], None
             await self._put(0.0, None)
-        return measuring.passes_played(_joined([block for block in taken if block.run == run.id]), self._tool())
+        played = measuring.signals_of([block for block in taken if block.run == run.id])
+        return measuring.passes_played(played, self._tool())
 
     async def _put(self, pull_n: float, gauge_m: float | None) -> None:
         """What a person does at a real tool."""
@@ -182,26 +183,15 @@ class CalibrationDesk:
             case CalibrationKind.STRETCH:
                 return fits.stretch(self._read[0], tool)
             case CalibrationKind.GEOMETRY:
-                passes = [
-                    Pass(*(np.concatenate([getattr(each, name) for each in found]) for name in Pass.__slots__))
-                    for found in self._read
-                ]
+                passes = [measuring.merged(found) for found in self._read]
                 return fits.geometry([each * 1e-3 for each in self.state.values], passes, tool)
 
 
-def _joined(blocks: list[SampleBlock]) -> Signals:
-    samples = np.concatenate([block.samples for block in blocks])
-    return Signals(
-        samples["strain_v"], samples["motor_command_v"], (samples["touch_1_v"], samples["touch_2_v"]),
-        samples["encoder_deg"],
-    )  # fmt: skip
-
-
 def _described(value: float, found: Signals | list[Pass]) -> CalibrationReading:
-    still = isinstance(found, Signals)
-    strain_v = found.strain_v if still else np.concatenate([each.strain_v for each in found])
-    encoder_deg = found.encoder_deg if still else np.concatenate([each.encoder_deg for each in found])
-    return CalibrationReading(value=value, strain_v=float(strain_v.mean()), encoder_deg=float(encoder_deg.mean()))
+    signals = found if isinstance(found, Signals) else measuring.merged(found)
+    return CalibrationReading(
+        value=value, strain_v=float(signals.strain_v.mean()), encoder_deg=float(signals.encoder_deg.mean())
+    )  # fmt: skip
 
 
 def _result(fit: Fit, tool: Tool, path: Path) -> CalibrationResult:

@@ -28,7 +28,12 @@ async def calibration(request: Request) -> Calibration:
     return _desk(request).state
 
 
-@router.post("", dependencies=[needs(Role.OPERATOR)], status_code=HTTPStatus.CREATED, responses=BUSY)
+@router.post(
+    "",
+    dependencies=[needs(Role.OPERATOR)],
+    status_code=HTTPStatus.CREATED,
+    responses=BUSY | {503: {"description": "The new tool file could not be written", **PROBLEM}},
+)
 async def begin(request: Request, wanted: Annotated[CalibrationRequest, Body()]) -> Calibration:
     """Begin one. Nothing moves yet."""
     note_deed(request, what=f"Begin calibration of {wanted.what}")
@@ -40,6 +45,8 @@ async def begin(request: Request, wanted: Annotated[CalibrationRequest, Body()])
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "values") from None
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
+    except ConfigurationError as error:
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
     return _desk(request).state
 
 

@@ -80,6 +80,15 @@ const ROUTES: Route[] = [
       return (box) => new SystemPage(box);
     },
   },
+  {
+    name: "system",
+    title: "Calibration",
+    matches: (path) => path === "/calibration",
+    load: async () => {
+      const { CalibrationPage } = await import("./pages/calibration");
+      return (box) => new CalibrationPage(box, person);
+    },
+  },
 ];
 const router = new Router(ROUTES, schedule);
 const theme = new Theme(() => router.page?.themeChanged?.());

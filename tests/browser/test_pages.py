@@ -20,7 +20,7 @@ def running_service():
         yield running
 
 
-EVERY_PAGE = {**PAGES, "replay": "/recordings/gallbladder.lvm"}
+EVERY_PAGE = {**PAGES, "replay": "/recordings/gallbladder.lvm", "calibration": "/calibration"}
 
 
 def opened(watch, service, page, **options):
@@ -155,6 +155,7 @@ def test_the_system_page_tells_versions_calibration_and_what_happened(service, w
     viewer = watch(service.url + "/system")
     expect(viewer.at("system-versions")).to_contain_text("nidaqmx")
     expect(viewer.at("calibration")).to_contain_text("2026-11-22")
+    expect(viewer.at("system-realtime")).to_contain_text("priority")
     expect(viewer.at("journal")).to_contain_text("Run finished")
     expect(viewer.at("chain")).to_contain_text("none changed or missing")
     viewer.page.locator("#journal-kinds").get_by_role("button", name="Request").click()
@@ -173,3 +174,23 @@ def test_a_study_is_started_watched_and_stopped(service, watch):
     expect(viewer.at("study-progress")).to_be_visible(timeout=10_000)
     viewer.at("study-stop").click()
     expect(viewer.at("studies-table")).to_contain_text("stopped", timeout=10_000)
+
+
+def test_a_calibration_is_guided_reading_by_reading_to_its_file(service, watch):
+    viewer = watch(service.url + "/system")
+    viewer.at("calibrate-link").click()
+    viewer.at("calibrate-what").select_option("strain")
+    viewer.at("calibrate-values").fill("0, 5, 10")
+    viewer.at("calibrate-begin").click()
+    expect(viewer.at("calibrate-message")).to_contain_text("3 different pulls tell no line from a curve")
+    viewer.at("calibrate-values").fill("0, 5, 10, 15")
+    viewer.at("calibrate-person").fill("a test")
+    viewer.at("calibrate-begin").click()
+    expect(viewer.at("reading-do")).to_have_text("1 of 4: Hang nothing on the handle.")
+    for n, pull in enumerate((5, 10, 15), 2):
+        viewer.at("reading-take").click()
+        expect(viewer.at("reading-do")).to_contain_text(f"{n} of 4: Hang a pull of {pull} N", timeout=10_000)
+    viewer.at("reading-take").click()
+    expect(viewer.at("fit-table")).to_contain_text("calibration.newton_per_volt", timeout=10_000)
+    expect(viewer.page.locator("#fit-plot .reading")).to_have_count(4)
+    expect(viewer.at("fit-file")).to_contain_text(str(service.data / "tools"))

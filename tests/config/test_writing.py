@@ -58,5 +58,5 @@ def test_the_old_one_stays_and_the_next_one_follows_it(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written_to_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigurationError, match=r"no tool file can be written .* --into"):
+    with pytest.raises(ConfigurationError, match=r"no tool file can be written .* \(--into\)"):
         write(tmp_path / "file" / "folder")

@@ -18,6 +18,7 @@ import type {
 
 const PATIENCE_MS = 5000;
 const STOP_PATIENCE_MS = 2000;
+const READING_MS = 60_000;
 const UNAUTHORIZED = 401;
 const SESSION = "/api/session";
 const CONTROL = "/api/control";
@@ -41,6 +42,9 @@ export const getJson = <Answer>(path: string): Promise<Answer> => ask("GET", pat
 export const postJson = <Answer>(path: string, body?: unknown): Promise<Answer> => ask("POST", path, PATIENCE_MS, body);
 
 export const deletePath = (path: string): Promise<null> => ask("DELETE", path, PATIENCE_MS);
+
+/** Takes as long as the reading of a calibration does. */
+export const takeReading = <Answer>(): Promise<Answer> => ask("POST", "/api/calibration/reading", READING_MS);
 
 export const getProtocols = (): Promise<ProtocolInfo[]> => getJson("/api/protocols");
 

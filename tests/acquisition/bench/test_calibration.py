@@ -111,7 +111,7 @@ def test_the_rest_voltage_comes_out_as_it_is(rest_v: float, seed: int) -> None:
 @pytest.mark.parametrize("tissue", LIBRARY.tissues)
 def test_tissue_in_the_jaws_is_told_by_what_the_fit_leaves(tissue: str) -> None:
     laboratory = Laboratory(tissue)
-    refused(laboratory.stretch, "something between the jaws yields|more force than the motion can come to")
+    refused(laboratory.stretch, "something between the jaws yields")
     assert laboratory.board.output_v == 0.0
 
 
@@ -192,7 +192,7 @@ def test_a_tool_that_does_not_rest_is_not_tared(signals: Signals, says: str) -> 
 def test_a_cable_that_is_pulled_meanwhile_ends_it_with_the_motor_at_zero(fault: SensorFault) -> None:
     laboratory = Laboratory()
     laboratory.sensors.break_at(fault, 4_000)  # the force on the shut jaws is changed by then
-    refused(laboratory.stretch, "cable|slips|yields", (CalibrationError, ToolError))
+    refused(laboratory.stretch, "Broken off with the motor at zero", (CalibrationError, ToolError))
     assert laboratory.board.output_v == 0.0
     assert max(output.volts for output in laboratory.board.outputs) > 0.0
 

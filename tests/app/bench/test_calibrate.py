@@ -52,7 +52,7 @@ def test_nothing_moves_and_nothing_is_written_unless_somebody_agrees(tmp_path: P
         (["geometry", "--gauges", "0,0,2", "--yes"], 8, "At least 3 gauges"),
         (["stretch", "missing.lvm", "--yes"], 3, "missing.lvm"),
         (["tare", "--tool", "smart_tool_2013", "--yes"], 2, "is for recordings"),
-        (["tare", "--yes", "--into", "/proc/no"], 2, "Name another folder with --into"),
+        (["tare", "--yes", "--into", "/proc/no"], 2, "name another folder (--into)"),
     ],
 )
 def test_what_cannot_be_is_told_in_one_message(tmp_path: Path, words: list[str], code: int, says: str) -> None:

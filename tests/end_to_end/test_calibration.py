@@ -1,0 +1,116 @@
+"""Calibrations over REST, reading by reading, on the simulated tool in real time; the files they leave."""
+
+import threading
+import tomllib
+from pathlib import Path
+
+import pytest
+from service import Service, until
+
+from config.load import CONFIG_DIR, load_tool
+
+CALIBRATION = load_tool("simulated").calibration
+
+
+@pytest.fixture(scope="module")
+def service():
+    with Service("serve", "--tissue", "liver") as running:
+        yield running
+
+
+def begin(service: Service, what: str, *values: float) -> dict:
+    answer = service.http.post("/api/calibration", json={"what": what, "values": values, "person": "a test"})
+    assert answer.status_code == 201, answer.text
+    return answer.json()
+
+
+def read(service: Service):
+    return service.http.post("/api/calibration/reading", timeout=60.0)
+
+
+def calibrate(service: Service, what: str, *values: float) -> dict:
+    state = begin(service, what, *values)
+    for _ in state["values"]:
+        answer = read(service)
+        assert answer.status_code == 200, answer.text
+        state = answer.json()
+    return state["result"]
+
+
+def test_one_calibration_builds_on_the_other_and_tissue_is_held_again(service: Service) -> None:
+    for what, values, truth in (
+        ("strain", (0, 5, 10, 15), {"calibration.newton_per_volt": CALIBRATION.newton_per_volt}),
+        ("stretch", (), {"calibration.encoder_deg_per_volt": CALIBRATION.encoder_deg_per_volt}),
+        ("geometry", (0, 3, 6), {"calibration.handle_per_encoder": CALIBRATION.handle_per_encoder}),
+    ):
+        result = calibrate(service, what, *values)
+        found = {each["key"]: each for each in result["constants"]}
+        for key, value in truth.items():
+            assert found[key]["value"] == pytest.approx(value, rel=0.01)
+            assert found[key]["low"] < found[key]["value"] < found[key]["high"]
+        assert len(result["x"]) == len(result["y"])
+    file = Path(result["file"])
+    assert file.parent == service.data / "tools"
+    measured = {each["constant"] for each in tomllib.loads(file.read_text())["calibration"]["measured"]}
+    assert measured == {"newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "opening_m"}
+    run = service.run(protocol="trapezoid_2hz", cycles=1)
+    service.finished(run["id"])
+    assert service.http.get(f"/api/runs/{run['id']}/grasps").json()[0]["label"] == "liver"
+
+
+def test_a_stop_ends_a_reading_that_moves_and_it_may_be_repeated(service: Service) -> None:
+    begin(service, "stretch")
+    answers = []
+    reading = threading.Thread(target=lambda: answers.append(read(service)))
+    reading.start()
+    until(lambda: service.http.get("/api/calibration").json()["reading"])
+    until(lambda: any(run["state"] == "running" for run in service.http.get("/api/runs").json()))
+    assert read(service).status_code == 409  # one at a time
+    assert service.http.delete("/api/calibration").status_code == 409
+    service.http.post("/api/stop")
+    reading.join()
+    assert answers[0].status_code == 409
+    assert "The run was stopped" in answers[0].json()["detail"]
+    assert "The run was stopped" in service.http.get("/api/calibration").json()["problem"]
+    assert service.http.delete("/api/calibration").json()["what"] is None
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "says"),
+    [
+        ({"what": "strain", "values": [0, 2, 4]}, 422, "3 different pulls"),
+        ({"what": "geometry", "values": [0, 2]}, 422, "At least 3 gauges"),
+        ({"what": "strain", "values": [0, -2, 4, 6]}, 422, "greater than or equal to 0"),
+        ({"what": "weight"}, 422, "what"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_read(
+    service: Service, asked: dict, status: int, says: str
+) -> None:
+    answer = service.http.post("/api/calibration", json=asked)
+    assert answer.status_code == status
+    assert says in answer.text
+    assert read(service).status_code == 409
+
+
+def test_nothing_is_read_while_a_run_is_under_way(service: Service) -> None:
+    begin(service, "tare")
+    service.run(protocol="trapezoid_025hz", cycles=5)
+    answer = read(service)
+    service.http.post("/api/stop")
+    assert answer.status_code == 409
+    assert "A run is under way" in answer.json()["detail"]
+
+
+def test_an_expired_calibration_is_told(tmp_path: Path) -> None:
+    text = (CONFIG_DIR / "tools/simulated.toml").read_text()
+    old = tmp_path / "old.toml"
+    old.write_text(text.replace('person = "simulation"', 'person = "simulation"\nexpires = 2026-11-27', 1))
+    with Service("serve", "--tool", str(old)) as running:
+        alarms = until(lambda: running.http.get("/api/alarms").json())
+        assert [(each["priority"], each["text"]) for each in alarms] == [
+            ("low", "The tool's calibration expired on 2026-11-27: calibrate it anew before you trust forces")
+        ]
+        realtime = running.http.get("/api/system").json()["realtime"]
+        assert set(realtime) == {"acquisition", "estimator"}
+        assert all(each.startswith("priority ") for each in realtime.values())
