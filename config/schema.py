@@ -134,6 +134,8 @@ class Measured(Model):
     """Day of the measurement."""
     person: str
     """Who measured."""
+    expires: datetime.date
+    """From this day on it is to be measured anew."""
 
 
 class Calibration(Model):
@@ -160,7 +162,7 @@ class Calibration(Model):
     person: str
     """Who calibrated."""
     expires: datetime.date | None = None
-    """From this day on the dashboard asks for a new calibration."""
+    """From this day on the dashboard asks for a new calibration: the first day on which one of `measured` expires."""
     measured: tuple[Measured, ...] = ()
     """How constants were measured: one table each."""
 

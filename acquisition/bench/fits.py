@@ -4,7 +4,7 @@ Least squares with Student's t throughout: the scatter comes from the readings t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -144,7 +144,7 @@ def strain(weights_n: Sequence[float], readings: Sequence[Signals], tool: Tool) 
     half = _quantile(len(volts) - 2) * slope_se
     constant = _of_slope(
         "calibration.newton_per_volt", 1 / slope, 1 / (slope + half), 1 / (slope - half) if slope > half else np.inf,
-        "N/V", left_v, len(volts),
+        "N/V", left_v, "V", len(volts),
     )  # fmt: skip
     along_n = np.array([pulls_n.min(), pulls_n.max()])
     remarks = ()
@@ -219,13 +219,13 @@ def stretch(passes: Sequence[Pass], tool: Tool) -> Fit:
         [each.encoder_deg - (at + slope * each.strain_v) for each, (slope, at, _) in zip(passes, lines, strict=True)]
     )
     constant = _of_slope(
-        "calibration.encoder_deg_per_volt", value, value - half, value + half, "deg/V", left_deg, len(passes)
+        "calibration.encoder_deg_per_volt", value, value - half, value + half, "deg/V", left_deg, "deg", len(passes)
     )
     strain_v = np.concatenate([each.strain_v for each in passes])
     turned_deg = np.concatenate([each.encoder_deg - at for each, (_, at, _) in zip(passes, lines, strict=True)])
     along_v = np.array([strain_v.min(), strain_v.max()])
     return Fit(
-        (replace(constant, residual_unit="deg"),), (strain_v, turned_deg), (along_v, value * along_v),
+        (constant,), (strain_v, turned_deg), (along_v, value * along_v),
         ("strain gage over rest, V", "encoder beyond shut jaws, deg"),
     )  # fmt: skip
 
@@ -309,10 +309,10 @@ def check_gauges(gauges_m: Sequence[float]) -> np.ndarray:
 
 
 def _of_slope(
-    key: str, value: float, low: float, high: float, unit: str, left: np.ndarray, readings: int
+    key: str, value: float, low: float, high: float, unit: str, left: np.ndarray, residual_unit: str, readings: int
 ) -> Constant:  # fmt: skip
     residual = float(np.sqrt(np.mean(left**2)))
-    constant = Constant(key, float(value), float(low), float(high), unit, residual, "V", readings)
+    constant = Constant(key, float(value), float(low), float(high), unit, residual, residual_unit, readings)
     _check_width(constant)
     return constant
 

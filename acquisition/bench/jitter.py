@@ -20,7 +20,6 @@ from config.errors import ToolError
 from config.schema import Realtime, Settings, TissueLibrary, Tool
 
 SETTLING_S = 1.0
-PRIORITY = 80  # that of the acquisition worker
 Opens = Callable[[Tool, TissueLibrary, str, int], tuple[NidaqTool, Any]]
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99_9": 0.999, "longest": 1.0}
 
@@ -36,16 +35,17 @@ class Jitter:
 
 
 def measure(
-    open_tool: Opens, tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, seconds: float
+    open_tool: Opens, tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, priority: int,
+    seconds: float,
 ) -> Jitter:  # fmt: skip
-    """Read the tool at rest, motor at zero.
+    """Read the tool at rest, motor at zero; `priority` is the acquisition's.
 
     Raises:
         ToolError: the tool cannot be opened.
     """
     near, far = multiprocessing.Pipe()
     context = multiprocessing.get_context("spawn")
-    process = context.Process(target=_read, args=(open_tool, tool, library, settings, wanted, seconds, far))
+    process = context.Process(target=_read, args=(open_tool, tool, library, settings, wanted, priority, seconds, far))
     process.start()
     far.close()
     try:
@@ -59,8 +59,8 @@ def measure(
 
 
 def _read(
-    open_tool: Opens, tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, seconds: float,
-    line: Connection,
+    open_tool: Opens, tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, priority: int,
+    seconds: float, line: Connection,
 ) -> None:  # fmt: skip
     source, _ = open_tool(tool, library, next(iter(library.tissues)), 0)
     most, blocks, ended = blocks_in(seconds, tool), 0, None
@@ -68,7 +68,7 @@ def _read(
     try:
         with source:
             acquisition = Acquisition(source, tool, settings.conditioning)
-            granted = take_realtime(wanted, PRIORITY, place=0)
+            granted = take_realtime(wanted, priority, place=0)
             for _ in range(blocks_in(SETTLING_S, tool)):
                 acquisition.turn()
             while blocks < most:

@@ -4,7 +4,7 @@ import getpass
 import json
 from collections.abc import Callable
 from dataclasses import asdict
-from datetime import date, timedelta
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -97,10 +97,8 @@ class _Session:
 
         today = date.today()
         values = {each.key: each.value for each in found.constants}
-        measured = measured_of(found, today, self._person)
-        path = write_calibrated(
-            self._name, values, measured, today, self._person, today + timedelta(days=self._days), self._into
-        )
+        measured = measured_of(found, today, self._person, self._days)
+        path = write_calibrated(self._name, values, measured, today, self._person, self._into)
         plot = path.with_suffix(".html")
         title = f"{self.tool.title}: {', '.join(how.constant for how in measured)}, {today}"
         plot.write_text(_page(found, title), encoding="utf-8")

@@ -2,7 +2,7 @@
 
 import asyncio
 import getpass
-from datetime import date, timedelta
+from datetime import date
 from pathlib import Path
 
 from acquisition import bus
@@ -10,7 +10,7 @@ from acquisition.bench import fits, measuring
 from acquisition.bench.checks import Signals
 from acquisition.bench.fits import Fit, Pass
 from acquisition.blocks import SampleBlock
-from acquisition.safety import MOVING
+from acquisition.safety import MOVING, Safety
 from app.bench.results import measured_of
 from app.plan import ServicePlan
 from app.station import Station
@@ -92,7 +92,7 @@ class CalibrationDesk:
         what, value = self._asked.what, self.state.values[len(self._read)]
         self._tell(reading=True, problem=None)
         try:
-            found = await self._still(what, value) if what in STILL_S else await self._moved(what, value, by)
+            found = await self._still(what, value, by) if what in STILL_S else await self._moved(what, value, by)
             if what is CalibrationKind.STRAIN:
                 fits.check_steady(found, f"{value:g} N", self._tool())
         except CalibrationError as error:
@@ -112,7 +112,9 @@ class CalibrationDesk:
     def _tool(self) -> Tool:
         return load_tool(self._newest)
 
-    async def _still(self, what: CalibrationKind, value: float) -> Signals:
+    async def _still(self, what: CalibrationKind, value: float, by: str | None) -> Signals:
+        if self._station.arming.safety is Safety.ARMED:  # a weight would be a fault of its gage
+            await self._station.arming.disarm(by)
         await self._put(value if what is CalibrationKind.STRAIN else 0.0, None)
         try:
             seconds = STILL_S[what]
@@ -162,10 +164,8 @@ class CalibrationDesk:
             self._tell(problem=f"{error} Nothing was written.")
             raise
         values = {each.key: each.value for each in fit.constants}
-        path = write_calibrated(
-            self._newest, values, measured_of(fit, today, person), today, person,
-            today + timedelta(days=asked.valid_days), self._folder,
-        )  # fmt: skip
+        measured = measured_of(fit, today, person, asked.valid_days)
+        path = write_calibrated(self._newest, values, measured, today, person, self._folder)
         self._newest = str(path)
         self._tell(result=_result(fit, tool, path))
         self._station.tell_event(f"Calibrated: {', '.join(values)}; written to {path}", by=by)

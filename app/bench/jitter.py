@@ -38,6 +38,7 @@ def bench(
 
     from acquisition.bench.jitter import load, measure  # takes a second
     from acquisition.tools import open_tool
+    from acquisition.worker import REALTIME_PRIORITY
 
     last_core = max(os.sched_getaffinity(0))
     ways = {
@@ -49,7 +50,7 @@ def bench(
     for busy in (False, True):
         for name, wanted in ways.items():
             with errors.status(f"Measuring: {name}, {'busy' if busy else 'idle'}"), load(busy):
-                result = measure(open_tool, chosen, library, settings, wanted, seconds)
+                result = measure(open_tool, chosen, library, settings, wanted, REALTIME_PRIORITY, seconds)
             found.append({"asked for": name, "machine": "busy" if busy else "idle", **asdict(result)})
     if as_json:
         about = {"machine": f"{platform.system()} {platform.release()}", "cores": os.cpu_count(), "tool": chosen.name}

@@ -39,8 +39,8 @@ def calibrate(service: Service, what: str, *values: float) -> dict:
 
 def test_one_calibration_builds_on_the_other_and_tissue_is_held_again(service: Service) -> None:
     for what, values, truth in (
-        ("strain", (0, 5, 10, 15), {"calibration.newton_per_volt": CALIBRATION.newton_per_volt}),
         ("stretch", (), {"calibration.encoder_deg_per_volt": CALIBRATION.encoder_deg_per_volt}),
+        ("strain", (0, 5, 10, 15), {"calibration.newton_per_volt": CALIBRATION.newton_per_volt}),
         ("geometry", (0, 3, 6), {"calibration.handle_per_encoder": CALIBRATION.handle_per_encoder}),
     ):
         result = calibrate(service, what, *values)
