@@ -16,6 +16,7 @@ run: $(VENV)/.installed app/static/index.html ## start with the simulated graspe
 test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
+	$(BIN)/python -m compileall -q app acquisition estimator config  # each test that starts the program starts five
 	$(BIN)/python -m pytest -m "not long" -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/estimator \
 		tests/faults --ignore tests/faults/live
 	$(BIN)/python -m pytest -m "not long" tests/browser tests/end_to_end tests/faults/live  # live tools: one at a time

@@ -1,8 +1,5 @@
 """What viewers are told of the tool, the library and the frames' columns."""
 
-import shutil
-from pathlib import Path
-
 from app import __version__
 from app.clock import now_ms
 from app.frames import channels
@@ -47,14 +44,6 @@ def tool_info(tool: Tool, *, recording: bool = False) -> ToolInfo:
         calibration_date=tool.calibration.date,
         calibrated_by=tool.calibration.person,
     )
-
-
-def free_bytes(folder: Path) -> int | None:
-    """Of the disk of a folder; None where the folder is gone."""
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return None
 
 
 def library_info(plan: ServicePlan) -> LibraryInfo:

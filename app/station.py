@@ -20,7 +20,8 @@ from app.alarms import AlarmBook
 from app.arming import Arming
 from app.clock import now_ms, wall_ms
 from app.commander import Commander
-from app.describe import free_bytes, hello
+from app.describe import hello
+from app.disk import free_bytes
 from app.frames import FrameBuffer
 from app.joiner import Joiner
 from app.journal import Journal

@@ -3,7 +3,7 @@
 import json
 import time
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zmq
@@ -12,9 +12,10 @@ from acquisition import bus
 from acquisition.process import become_worker, take_realtime
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.alarms import ForceAlarm
-from estimator.bank import Contact
 from estimator.blocks import EstimateBlock, GraspRecord, Identification, Withdrawal, estimate_dtype
-from estimator.session import EstimationSession
+
+if TYPE_CHECKING:
+    from estimator.session import EstimationSession
 
 REALTIME_PRIORITY = 70
 POLL_MS = 200
@@ -41,7 +42,7 @@ def main(setup: Setup) -> None:
     publisher.send_multipart(bus.pack_notice("compiling"))
     warm_up(setup)
     granted = take_realtime(setup.settings.realtime, REALTIME_PRIORITY, place=1)
-    session = EstimationSession(setup.tool, setup.library, setup.settings)
+    session = _new_session(setup)
     counter = bus.SequenceCounter()
     last_ready = 0.0
     try:
@@ -58,7 +59,7 @@ def main(setup: Setup) -> None:
             if counter.is_out_of_turn(block):
                 continue
             if counter.begins_anew(block.sequence):
-                session = EstimationSession(setup.tool, setup.library, setup.settings)
+                session = _new_session(setup)
             counter.take(block.sequence, block.t_mono_ns)
             estimate = session.process(block)
             limits.send(bus.pack_limit(limit_of(estimate.identification)))  # first: somebody waits for it
@@ -69,10 +70,18 @@ def main(setup: Setup) -> None:
 
 def warm_up(setup: Setup) -> None:
     """Compile the filters, or load them from the cache, before anything depends on them."""
-    session = EstimationSession(setup.tool, setup.library, setup.settings)
+    from estimator.bank import Contact  # see below
+
+    session = _new_session(setup)
     session.bank.start(Contact(np.array([0.01, 0.0, 7.0, -0.006, 0.0])))
     session.bank.advance(np.array([[0.01, 1e-5, 7.0, -0.006, 0.001]]))
     session.evidence.probabilities()
+
+
+def _new_session(setup: Setup) -> "EstimationSession":
+    from estimator.session import EstimationSession  # with the compiler; the server, which only starts this, needs none
+
+    return EstimationSession(setup.tool, setup.library, setup.settings)
 
 
 def limit_of(found: Identification) -> bus.ForceLimit:

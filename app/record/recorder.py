@@ -10,7 +10,7 @@ import numpy as np
 
 from acquisition.blocks import SampleBlock
 from acquisition.recordings import layout
-from app.describe import free_bytes
+from app.disk import free_bytes
 from app.record.run_file import FLUSH_S, Rig, RunFile
 from config.schema import Protocol
 

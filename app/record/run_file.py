@@ -30,6 +30,7 @@ from estimator.recorded import estimate_columns, estimate_layout
 
 CHUNK_BYTES = 4 * 2**20  # never reached: a chunk ends with each flush
 FLUSH_S = 0.25
+BLOCKS_A_FLUSH = 200  # three times as many as come meanwhile
 DISK_S = 2.0
 """So long a disk may take for what a flush gave it, before whoever writes waits for it, and is missed."""
 PARTS = ("numpy", "scipy", "numba", "nidaqmx", "mcap")  # whose versions have a say in what is recorded
@@ -172,7 +173,9 @@ class RunFile:
         self._writer.add_message(self._told[topic], at_ns, content, at_ns)
 
     def flush(self, *, sync: bool = True) -> None:
-        """Write what has been added, so that it outlives this process, and with `sync` soon the computer too.
+        """Write the oldest of what has been added, so that it outlives this process, and with `sync` soon the computer.
+
+        More than is added between two flushes, but not seconds of it: who writes them is not heard meanwhile.
 
         Raises:
             OSError: the disk is full or gone; perhaps told by a later flush.
@@ -195,17 +198,19 @@ class RunFile:
     def _write(self, pending: _Pending) -> None:
         if not pending.columns:
             return
-        lengths = [len(columns["tick"]) for columns in pending.columns]
-        joined = {name: np.concatenate([columns[name] for columns in pending.columns]) for name in pending.columns[0]}
+        now = slice(BLOCKS_A_FLUSH)
+        blocks = pending.columns[now]
+        lengths = [len(columns["tick"]) for columns in blocks]
+        joined = {name: np.concatenate([columns[name] for columns in blocks]) for name in blocks[0]}
         tick, at_ns = self._anchor or (int(joined["tick"][0]), time.time_ns())
         log_ns = at_ns + np.round((joined["tick"] - tick) * self._step_ns).astype(np.int64)
         data, size = pending.rows.encode(joined), pending.rows.row_bytes
-        sequences = np.repeat(pending.sequences, lengths).tolist()
-        published_ns = np.repeat(pending.published_ns, lengths).tolist()
+        sequences = np.repeat(pending.sequences[now], lengths).tolist()
+        published_ns = np.repeat(pending.published_ns[now], lengths).tolist()
         add, channel = self._writer.add_message, pending.channel
         for i, (at, published, sequence) in enumerate(zip(log_ns.tolist(), published_ns, sequences, strict=True)):
             add(channel, at, data[i * size : (i + 1) * size], published, sequence)
-        pending.columns, pending.sequences, pending.published_ns = [], [], []
+        del pending.columns[now], pending.sequences[now], pending.published_ns[now]
 
     def close(self, **ended: str) -> None:
         """Make the file whole, with how it ended.
@@ -214,7 +219,8 @@ class RunFile:
             OSError: the disk is full or gone; the file is readable up to its last flush.
         """
         try:
-            self.flush(sync=False)
+            while any(pending.columns for pending in self._pending.values()):
+                self.flush(sync=False)
             if self._synced:
                 self._synced.result()
             counts = {"samples": str(self.samples), "lost_samples": str(self.lost_samples)}

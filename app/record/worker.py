@@ -2,7 +2,6 @@
 
 import gc
 import json
-import os
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +16,6 @@ from app.record.recorder import Brief, Estimated, Recorder, RecordingStoppedErro
 from app.record.run_file import Rig
 from estimator.blocks import estimate_dtype
 
-NICENESS = 5  # gives way to acquisition and estimator
 POLL_MS = 100
 SAYS_EVERY_S = 0.1
 
@@ -37,7 +35,6 @@ def main(setup: Setup) -> None:
     stop = become_worker("recorder", setup.parent_pid)
     bound_memory()
     gc.freeze()  # else it takes all modules apart before it is seen to have failed, which took half a second
-    os.nice(NICENESS)
     context = zmq.Context()
     publisher = bus.publisher(context, setup.endpoints.recorder)
     sources = bus.subscriber(context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events)

@@ -20,7 +20,6 @@ from app.wire import Alarm, Grasp, GraspEnded, Identification, Priority
 from config.errors import ServiceError
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.blocks import EstimateBlock, GraspRecord
-from estimator.session import EstimationSession
 
 TOLD_EVERY = 20  # ticks: finer than a frame; as fine as a live tool's blocks (5) takes half as long again
 PROGRESS_STEP = 0.01
@@ -38,6 +37,8 @@ def make_film(
         RecordingError: it cannot be read; names file and line.
         ServiceError: there is not enough room for the film.
     """
+    from estimator.session import EstimationSession  # with the compiler, which the server does not need
+
     recording = open_recording(path, tool)
     tool = recording.tool
     (folder / TOOL).write_text(tool.model_dump_json())

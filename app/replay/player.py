@@ -7,7 +7,8 @@ from fastapi import WebSocket
 from pydantic import BaseModel
 
 from acquisition.safety import Safety
-from app.describe import free_bytes, hello
+from app.describe import hello
+from app.disk import free_bytes
 from app.frames import pack
 from app.live import Viewer
 from app.plan import ServicePlan

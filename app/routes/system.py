@@ -7,7 +7,7 @@ from importlib.metadata import version
 from fastapi import APIRouter, Request
 
 from app import __version__
-from app.describe import free_bytes
+from app.disk import free_bytes
 from app.people.roles import needs
 from app.routes.runs import station_of
 from app.wire import Role, System

@@ -37,6 +37,7 @@ def calibrate(service: Service, what: str, *values: float) -> dict:
     return state["result"]
 
 
+@pytest.mark.long
 def test_one_calibration_builds_on_the_other_and_tissue_is_held_again(service: Service) -> None:
     for what, values, truth in (
         ("stretch", (), {"calibration.encoder_deg_per_volt": CALIBRATION.encoder_deg_per_volt}),

@@ -8,6 +8,8 @@ import sys
 import threading
 from pathlib import Path
 
+import pytest
+
 CHECKOUT = Path(__file__).parents[2]
 
 
@@ -18,6 +20,7 @@ def commands() -> str:
     return "\n".join(line.strip() for block in blocks for line in block.splitlines())
 
 
+@pytest.mark.long
 def test_the_first_day_goes_as_the_page_says(tmp_path: Path) -> None:
     (tmp_path / "config").symlink_to(CHECKOUT / "config")
     script = "set -e\n" + commands().replace("config/tools/nidaq.toml", "config/tools/simulated.toml")

@@ -23,7 +23,7 @@ from config.load import load_library, load_tool
 
 TOOL, LIBRARY = load_tool("simulated"), load_library("porcine")
 PULLS_N = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 5.0, 0.0)
-GAUGES_M = (0.0, 0.002, 0.004, 0.006, 0.008)
+GAUGES_M = (0.0, 0.003, 0.006)
 Refusal = type[Exception] | tuple[type[Exception], ...]
 FEW = settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 

@@ -17,6 +17,7 @@ def calibrate(folder: Path, *words: str, answers: str | None = None) -> subproce
     )
 
 
+@pytest.mark.long
 def test_one_calibration_builds_on_the_other_and_the_last_file_holds_all(tmp_path: Path) -> None:
     tool, files = "simulated", []
     for words in (["tare"], ["strain", "--weights", "0,5,10,15,0"], ["stretch"], ["geometry", "--gauges", "0,3,6"]):

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 GRASPWATCH = Path(sys.executable).parent / "graspwatch"
 
 
@@ -12,6 +14,7 @@ def bench(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([GRASPWATCH, "bench", *words], capture_output=True, text=True, timeout=120)
 
 
+@pytest.mark.long
 def test_it_measures_each_way_on_an_idle_and_a_busy_machine() -> None:
     done = bench("--jitter", "--seconds", "1", "--json")
     measured = json.loads(done.stdout)["measured"]
