@@ -37,9 +37,12 @@ class Watchdog:
         """This process was held up: let it read what waits before it judges."""
         self._from_s = time.monotonic() + HUNG_S
 
-    def watch(self) -> None:
-        """Raise a technical alarm while a worker is silent, and end it when it speaks again."""
-        now = time.monotonic()
+    def watch(self, held_up_s: float = 0.0) -> None:
+        """Raise a technical alarm while a worker is silent, and end it when it speaks again.
+
+        `held_up_s`: by so much this process is late itself; what was said meanwhile waits to be read.
+        """
+        now = time.monotonic() - held_up_s
         if now < self._from_s:
             return
         alive = {name: worker.condition is Condition.RUNNING for name, worker in self._supervisor.workers.items()}
@@ -61,17 +64,17 @@ class Watchdog:
         elif estimating and alive["estimator"]:
             self._alarms.end("estimates")
             self._alarms.end("estimator")
-        self._watch_sayer("recorder", RECORDER_HUNG_S, "nothing is recorded")
-        self._watch_sayer("guard", GUARD_HUNG_S, "a hung acquisition would be noticed late")
+        self._watch_sayer("recorder", now, RECORDER_HUNG_S, "nothing is recorded")
+        self._watch_sayer("guard", now, GUARD_HUNG_S, "a hung acquisition would be noticed late")
         for name, since_s in silent_s.items():
             expected = name == "acquisition" or self.sampling
             if alive[name] and expected and since_s > HUNG_S:
                 self._tell_event(f"The {name} worker does not answer: it is ended and replaced")
                 self._supervisor.kill(name)
 
-    def _watch_sayer(self, name: str, hung_s: float, lacking: str) -> None:
+    def _watch_sayer(self, name: str, now: float, hung_s: float, lacking: str) -> None:
         """One that says by itself that it lives, whether it has anything to do or not."""
-        now, heard_s = time.monotonic(), self._heard_s[name]
+        heard_s = self._heard_s[name]
         if not heard_s or self._supervisor.workers[name].condition is not Condition.RUNNING:
             return
         if now - heard_s < SAYER_SILENCE_S:

@@ -62,3 +62,14 @@ def test_a_new_estimator_is_not_ended_for_the_silence_of_the_one_before(workers:
     assert not workers.killed
     watch_for(dog, 0.6, "acquisition")
     assert "estimator" in workers.killed
+
+
+def test_what_waits_to_be_read_is_no_silence(workers: Workers) -> None:
+    told: list[str] = []
+    dog = Watchdog(workers, AlarmBook(lambda message: told.append(message.text)), lambda text: None)
+    watch_for(dog, 0.1, "acquisition", "estimator", "recorder", "guard")
+    time.sleep(0.4)  # the server is held up; the workers go on
+    dog.watch(held_up_s=0.4)
+    assert not told
+    dog.watch()
+    assert {"No samples arrive from the tool", "The recorder does not answer: nothing is recorded"} <= {*told}
