@@ -455,8 +455,8 @@ class Station:
         while True:
             due += period_s
             await asyncio.sleep(max(due - time.monotonic(), 0.0))
-            held_up_s = max(time.monotonic() - due, 0.0)
-            if held_up_s > SILENCE_S:  # let it read what waits before it judges
+            asked = due
+            if time.monotonic() - asked > SILENCE_S:  # this process was held up: let it read what waits first
                 self.watchdog.excuse()
             due = max(due, time.monotonic() - period_s)
             self._joiner.join()
@@ -464,7 +464,7 @@ class Station:
                 self.hub.broadcast_frame(frame)
             self.metrics.viewers.set(len(self.hub.viewers))
             self.metrics.index_left_out.set(self.index.left_out)
-            self.watchdog.watch(held_up_s)
+            self.watchdog.watch(max(time.monotonic() - asked, 0.0))
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
                 self._watch_disk()
