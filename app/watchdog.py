@@ -7,9 +7,9 @@ from app.alarms import AlarmBook
 from app.supervisor import Condition, Supervisor
 from app.wire import Priority
 
-SILENCE_S = 0.25
+SILENCE_S = 0.4
 HUNG_S = 2.0  # a worker silent for longer is killed and replaced
-SAYER_SILENCE_S = 0.35
+SAYER_SILENCE_S = 0.4
 RECORDER_HUNG_S = 10.0  # a disk may take its time
 GUARD_HUNG_S = 2.0
 
