@@ -6,7 +6,7 @@ import gc
 import os
 import resource
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -87,14 +87,10 @@ class Granted:
         words = {True: "granted", False: "refused", None: "not asked for"}
         core = "any core" if self.core is None else f"core {self.core}" if self.core >= 0 else "its core refused"
         garbage = "frozen" if self.garbage else "collected"
-        return (
-            f"priority {words[self.priority]}, memory lock {words[self.memory]}, {core}, garbage {garbage}"
-        )  # fmt: skip
+        return f"priority {words[self.priority]}, memory lock {words[self.memory]}, {core}, garbage {garbage}"
 
 
-def take_realtime(
-    wanted: Realtime, priority: int, place: int, stretch_us: int = MOST_AT_A_STRETCH_US
-) -> Granted:  # fmt: skip
+def take_realtime(wanted: Realtime, priority: int, place: int, stretch_us: int = MOST_AT_A_STRETCH_US) -> Granted:
     """Bound its memory and ask for what the settings want, once everything is ready; `place` chooses of the cores."""
     bound_memory()
     if wanted.freeze_garbage:
@@ -119,9 +115,7 @@ def _lock_memory() -> bool:
 def _stay_on(core: int) -> int:
     """The core, or -1 where this process may not run on it."""
     try:
-        for thread in os.listdir("/proc/self/task"):
-            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
-                os.sched_setaffinity(int(thread), {core})
+        _for_each_thread(lambda thread: os.sched_setaffinity(thread, {core}))
     except OSError:  # there is no such core, or not for this process
         return -1
     return core
@@ -138,7 +132,11 @@ def at_realtime(priority: int) -> Iterator[None]:
 
 
 def _schedule(policy: int, priority: int) -> None:
-    """Every thread of this process."""
+    _for_each_thread(lambda thread: os.sched_setscheduler(thread, policy, os.sched_param(priority)))
+
+
+def _for_each_thread(do: Callable[[int], None]) -> None:
+    """Of this process, those of libraries included."""
     for thread in os.listdir("/proc/self/task"):
         with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
-            os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
+            do(int(thread))

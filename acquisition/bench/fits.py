@@ -4,7 +4,7 @@ Least squares with Student's t throughout: the scatter comes from the readings t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -55,7 +55,7 @@ class Fit:
     points: tuple[np.ndarray, np.ndarray]
     line: tuple[np.ndarray, np.ndarray]
     axes: tuple[str, str]
-    remarks: tuple[str, ...] = field(default=())
+    remarks: tuple[str, ...] = ()
 
 
 def before(constant: Constant, tool: Tool) -> float | None:

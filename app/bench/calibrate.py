@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -85,6 +86,18 @@ class _Session:
                 if not typer.confirm("Read it again?", default=True, err=True):
                     raise
 
+    def read_each(
+        self, values: list[float], question: Callable[[float], str], measure: Callable[[float], T],
+        told: Callable[[float, T], str],
+    ) -> list[T]:  # fmt: skip
+        """A reading for each weight or gauge, one after the other."""
+        found = []
+        for n, value in enumerate(values, 1):
+            self.ask(f"{n} of {len(values)}: {question(value)}")
+            found.append(self.read(partial(measure, value)))
+            self.say(told(value, found[-1]))
+        return found
+
     def finish(self, fit: "Callable[[], Fit]") -> None:
         """Fit, show, and write the new tool file with its plot."""
         try:
@@ -92,15 +105,12 @@ class _Session:
         except CalibrationError as error:
             raise CalibrationError(f"{error} Nothing was written.") from None
         from acquisition.bench.fits import before  # takes a while
-        from app.bench.results import measured_of
-        from config.writing import write_calibrated
+        from app.bench.results import write_fit
 
-        today = date.today()
-        values = {each.key: each.value for each in found.constants}
-        measured = measured_of(found, today, self._person, self._days)
-        path = write_calibrated(self._name, values, measured, today, self._person, self._into)
+        path = write_fit(found, self._name, self._person, self._days, self._into)
         plot = path.with_suffix(".html")
-        title = f"{self.tool.title}: {', '.join(how.constant for how in measured)}, {today}"
+        names = ", ".join(each.key.partition(".")[2] for each in found.constants)
+        title = f"{self.tool.title}: {names}, {date.today()}"
         plot.write_text(_page(found, title), encoding="utf-8")
         if self._as_json:
             constants = [asdict(each) | {"was": before(each, self.tool)} for each in found.constants]
@@ -158,18 +168,19 @@ def strain(
 
     session = _Session(tool, config, person, days, into, yes, as_json)
     pulls_n = fits.check_pulls(_numbers(weights, "--weights"))
-    bench, readings = session.bench(), []
-    for n, pull_n in enumerate(pulls_n.tolist(), 1):
-        session.ask(f"{n} of {len(pulls_n)}: does {f'a pull of {pull_n:g} N' if pull_n else 'nothing'} hang, at rest?")
+    bench = session.bench()
 
-        def measure(pull_n: float = pull_n) -> "fits.Signals":
-            reading = bench.under(pull_n)
-            fits.check_steady(reading, f"{pull_n:g} N", session.tool)
-            return reading
+    def measure(pull_n: float) -> "fits.Signals":
+        reading = bench.under(pull_n)
+        fits.check_steady(reading, f"{pull_n:g} N", session.tool)
+        return reading
 
-        reading = session.read(measure)
-        session.say(f"{pull_n:>8g} N  {reading.strain_v.mean():9.4f} V")
-        readings.append(reading)
+    readings = session.read_each(
+        pulls_n.tolist(),
+        lambda pull_n: f"does {f'a pull of {pull_n:g} N' if pull_n else 'nothing'} hang, at rest?",
+        measure,
+        lambda pull_n, reading: f"{pull_n:>8g} N  {reading.strain_v.mean():9.4f} V",
+    )
     session.finish(lambda: fits.strain(pulls_n, readings, session.tool))
 
 
@@ -221,13 +232,17 @@ def geometry(
 
     session = _Session(tool, config, person, days, into, yes, as_json)
     gauges_m = fits.check_gauges([each * 1e-3 for each in _numbers(gauges, "--gauges")])
-    bench, passes = session.bench(), []
-    for n, gauge_m in enumerate(gauges_m.tolist(), 1):
+
+    def question(gauge_m: float) -> str:
         what = f"the gauge of {gauge_m * 1e3:g} mm between the jaws" if gauge_m else "nothing between the jaws"
-        session.ask(f"{n} of {len(gauges_m)}: is {what}, is nobody near them, and may they close with half a volt?")
-        found = session.read(lambda gauge_m=gauge_m: bench.on_gauge(gauge_m))
-        session.say(f"{gauge_m * 1e3:>8g} mm  {found.encoder_deg.mean():9.1f} degrees")
-        passes.append(found)
+        return f"is {what}, is nobody near them, and may they close with half a volt?"
+
+    passes = session.read_each(
+        gauges_m.tolist(),
+        question,
+        session.bench().on_gauge,
+        lambda gauge_m, found: f"{gauge_m * 1e3:>8g} mm  {found.encoder_deg.mean():9.1f} degrees",
+    )
     session.finish(lambda: fits.geometry(gauges_m, passes, session.tool))
 
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import getpass
-from datetime import date
 from pathlib import Path
 
 from acquisition import bus
@@ -11,18 +10,19 @@ from acquisition.bench.checks import Signals
 from acquisition.bench.fits import Fit, Pass
 from acquisition.blocks import SampleBlock
 from acquisition.safety import MOVING, Safety
-from app.bench.results import measured_of
+from app.bench.results import write_fit
 from app.plan import ServicePlan
 from app.station import Station
 from app.wire import Calibration, CalibrationKind, CalibrationReading, CalibrationRequest, CalibrationResult, Constant
 from config.errors import CalibrationError, RefusedError, ServiceError
 from config.load import load_tool
 from config.schema import Tool, ToolKind
-from config.writing import check_folder, write_calibrated
+from config.writing import check_folder
 
 LATE_S = 3.0
 STILL_S = {CalibrationKind.TARE: measuring.TARE_S, CalibrationKind.STRAIN: measuring.WEIGHT_S}
 MOST_PLOTTED = 500
+NOTHING = Calibration(what=None, values=[], readings=[], reading=False, problem=None, result=None)
 
 
 class CalibrationDesk:
@@ -34,8 +34,8 @@ class CalibrationDesk:
         self._blocks: list[SampleBlock] | None = None
         self._arrived = asyncio.Event()
         self._asked: CalibrationRequest | None = None
-        self._read: list[Signals | Pass | list[Pass]] = []
-        self.state = Calibration(what=None, values=[], readings=[], reading=False, problem=None, result=None)
+        self._read: list[Signals | list[Pass]] = []
+        self.state = NOTHING
         station.followers.append(self._take)
 
     def _take(self, block: SampleBlock) -> None:
@@ -59,9 +59,7 @@ class CalibrationDesk:
         elif asked.what is CalibrationKind.GEOMETRY:
             values = (fits.check_gauges([each * 1e-3 for each in asked.values]) * 1e3).tolist()
         self._asked, self._read = asked, []
-        self.state = Calibration(
-            what=asked.what, values=values, readings=[], reading=False, problem=None, result=None
-        )  # fmt: skip
+        self.state = NOTHING.model_copy(update={"what": asked.what, "values": values})
 
     def abandon(self) -> None:
         """
@@ -70,7 +68,7 @@ class CalibrationDesk:
         """
         self._check_idle()
         self._asked = None
-        self.state = Calibration(what=None, values=[], readings=[], reading=False, problem=None, result=None)
+        self.state = NOTHING
 
     def _check_idle(self) -> None:
         if self.state.reading:
@@ -92,19 +90,24 @@ class CalibrationDesk:
         what, value = self._asked.what, self.state.values[len(self._read)]
         self._tell(reading=True, problem=None)
         try:
+            found = await self._measure(what, value, by)
+            self._read.append(found)
+            self._tell(readings=[*self.state.readings, _described(value, found)])
+            if len(self._read) == len(self.state.values):
+                await self._finish(by)
+        finally:
+            self._blocks = None
+            self._tell(reading=False)
+
+    async def _measure(self, what: CalibrationKind, value: float, by: str | None) -> Signals | list[Pass]:
+        try:
             found = await self._still(what, value, by) if what in STILL_S else await self._moved(what, value, by)
             if what is CalibrationKind.STRAIN:
                 fits.check_steady(found, f"{value:g} N", self._tool())
         except CalibrationError as error:
             self._tell(problem=str(error))
             raise
-        finally:
-            self._blocks = None
-            self._tell(reading=False)
-        self._read.append(found)
-        self._tell(readings=[*self.state.readings, _described(value, found)])
-        if len(self._read) == len(self.state.values):
-            self._finish(by)
+        return found
 
     def _tell(self, **changes: object) -> None:
         self.state = self.state.model_copy(update=changes)
@@ -154,21 +157,20 @@ class CalibrationDesk:
         if self._plan.tool.kind is ToolKind.SIMULATED:
             await self._station.put(bus.Put(pull_n, gauge_m))
 
-    def _finish(self, by: str | None) -> None:
-        """Fit, and write; what is refused is told in the state."""
-        asked, tool, today = self._asked, self._tool(), date.today()
+    async def _finish(self, by: str | None) -> None:
+        """Fit, and write, in a thread: the first fit of a service loads what it needs. What is refused is told."""
+        asked, tool = self._asked, self._tool()
         person = asked.person or by or getpass.getuser()
         try:
-            fit = self._fit(tool)
+            fit = await asyncio.to_thread(self._fit, tool)
         except CalibrationError as error:
             self._tell(problem=f"{error} Nothing was written.")
             raise
-        values = {each.key: each.value for each in fit.constants}
-        measured = measured_of(fit, today, person, asked.valid_days)
-        path = write_calibrated(self._newest, values, measured, today, person, self._folder)
+        path = await asyncio.to_thread(write_fit, fit, self._newest, person, asked.valid_days, self._folder)
         self._newest = str(path)
         self._tell(result=_result(fit, tool, path))
-        self._station.tell_event(f"Calibrated: {', '.join(values)}; written to {path}", by=by)
+        names = ", ".join(each.key for each in fit.constants)
+        self._station.tell_event(f"Calibrated: {names}; written to {path}", by=by)
 
     @property
     def _folder(self) -> Path:

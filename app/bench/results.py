@@ -1,14 +1,21 @@
-"""What a fit leaves in a tool file."""
+"""What a fit leaves: a tool file."""
 
 from datetime import date, timedelta
+from pathlib import Path
 
 from acquisition.bench.fits import Fit
 from config.schema import Measured
+from config.writing import write_calibrated
 
 
-def measured_of(fit: Fit, today: date, person: str, valid_days: int) -> list[Measured]:
-    """How each constant came about, and until when it is good."""
-    return [
+def write_fit(fit: Fit, tool: str, person: str, valid_days: int, into: Path) -> Path:
+    """A tool file like that of `tool` (a name or a path), with what was fitted today and how that came about.
+
+    Raises:
+        ConfigurationError: the folder cannot be written to, or the outcome is no valid tool file.
+    """
+    today = date.today()
+    measured = [
         Measured(
             constant=each.key.partition(".")[2], value=each.value, low=each.low, high=each.high, unit=each.unit,
             residual=each.residual, residual_unit=each.residual_unit, readings=each.readings, date=today, person=person,
@@ -16,3 +23,5 @@ def measured_of(fit: Fit, today: date, person: str, valid_days: int) -> list[Mea
         )
         for each in fit.constants
     ]  # fmt: skip
+    values = {each.key: each.value for each in fit.constants}
+    return write_calibrated(tool, values, measured, today, person, into)
