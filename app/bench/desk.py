@@ -9,7 +9,7 @@ from acquisition.bench import fits, measuring
 from acquisition.bench.checks import Signals
 from acquisition.bench.fits import Fit, Pass
 from acquisition.blocks import SampleBlock
-from acquisition.safety import MOVING, Safety
+from acquisition.safety import Safety
 from app.bench.results import write_fit
 from app.plan import ServicePlan
 from app.station import Station
@@ -85,7 +85,7 @@ class CalibrationDesk:
         self._check_idle()
         if self._asked is None or len(self._read) == len(self.state.values):
             raise RefusedError("Nothing is left to read: begin a calibration.")
-        if self._station.arming.safety in MOVING:
+        if self._station.runs.current:  # known before the first of its blocks has come
             raise RefusedError("A run is under way. Stop it first.")
         what, value = self._asked.what, self.state.values[len(self._read)]
         self._tell(reading=True, problem=None)
