@@ -8,6 +8,7 @@ import resource
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
 
@@ -20,6 +21,10 @@ MORE_MEMORY_BYTES = 512 << 20
 """Than a worker has once it is ready: one that wants more ends, and not the machine's others with it."""
 MOST_AT_A_STRETCH_US = 300_000
 """Of a core, at real-time priority, without waiting for anything: a block takes 400, those of a second 80,000."""
+SERVING_PRIORITY = 10
+"""Of the server, through which STOP passes, and of the recorder: below all that reads, estimates or guards."""
+SERVING_STRETCH_US = 1_000_000
+GRANTED_WORDS = {True: "granted", False: "refused", None: "not asked for"}
 
 
 class StopFlag:
@@ -84,10 +89,10 @@ class Granted:
     garbage: bool
 
     def __str__(self) -> str:
-        words = {True: "granted", False: "refused", None: "not asked for"}
         core = "any core" if self.core is None else f"core {self.core}" if self.core >= 0 else "its core refused"
         garbage = "frozen" if self.garbage else "collected"
-        return f"priority {words[self.priority]}, memory lock {words[self.memory]}, {core}, garbage {garbage}"
+        priority, memory = GRANTED_WORDS[self.priority], GRANTED_WORDS[self.memory]
+        return f"priority {priority}, memory lock {memory}, {core}, garbage {garbage}"
 
 
 def take_realtime(wanted: Realtime, priority: int, place: int, stretch_us: int = MOST_AT_A_STRETCH_US) -> Granted:
@@ -101,6 +106,49 @@ def take_realtime(wanted: Realtime, priority: int, place: int, stretch_us: int =
         core=_stay_on(wanted.cores[place % len(wanted.cores)]) if wanted.cores else None,
         garbage=wanted.freeze_garbage,
     )
+
+
+class ServingPriority:
+    """Real-time priority for what serves people and disks: before other programs, whatever session they belong to.
+
+    Between sessions Linux shares each core evenly, however little one of them asks for (autogroups, sched(7)): beside a
+    busy browser a server waited 0.5 s for its turn. Unlike a worker's, a thread that computes for a second at a stretch
+    is not ended: the whole process falls back to the usual priority, until `keep` is called.
+    """
+
+    def __init__(self, wanted: bool) -> None:
+        """In the main thread. Takes it at once where it is wanted and the system grants it."""
+        self.granted: bool | None = None
+        if wanted:
+            signal.signal(signal.SIGXCPU, self._fall_back)
+            self.granted = self._take()
+
+    def __str__(self) -> str:
+        return f"priority {GRANTED_WORDS[self.granted]}"
+
+    def keep(self) -> None:
+        """Once a second: whoever comes here does not compute without end."""
+        if self.granted:
+            self._take()
+
+    def _take(self) -> bool:
+        _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
+        stretch_us = SERVING_STRETCH_US if most == resource.RLIM_INFINITY else min(SERVING_STRETCH_US, most)
+        resource.setrlimit(resource.RLIMIT_RTTIME, (stretch_us, most))
+        try:
+            _schedule(os.SCHED_FIFO, SERVING_PRIORITY)
+        except PermissionError:
+            return False
+        return True
+
+    def _fall_back(self, number: int, frame: FrameType | None) -> None:
+        _schedule(os.SCHED_OTHER, 0)
+
+
+def start_child(process: BaseProcess) -> None:
+    """At the usual priority, but not before it is there: until it is loaded, its parent waits with it for its turn."""
+    process.start()
+    os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
 
 
 def _lock_memory() -> bool:

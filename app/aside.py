@@ -12,7 +12,7 @@ from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any
 
-from acquisition.process import become_worker
+from acquisition.process import become_worker, start_child
 from config.errors import GraspwatchError, ServiceError
 
 NICENESS = 10
@@ -36,7 +36,7 @@ async def run_aside(name: str, work: Callable[..., None], *arguments: Any, told:
         target=_main, args=(name, os.getpid(), theirs, work, arguments), name=f"graspwatch-{name}"
     )
     with theirs:
-        process.start()
+        start_child(process)
     loop, arrived = asyncio.get_running_loop(), asyncio.Event()
     for source in (ours.fileno(), process.sentinel):
         loop.add_reader(source, arrived.set)

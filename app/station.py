@@ -15,6 +15,7 @@ from pydantic import BaseModel
 
 from acquisition import bus
 from acquisition.blocks import SampleBlock
+from acquisition.process import ServingPriority
 from acquisition.safety import Safety
 from app.alarms import AlarmBook
 from app.arming import Arming
@@ -38,7 +39,7 @@ from app.store.store import Store
 from app.store.taking import Indexed
 from app.supervisor import Condition, Supervisor
 from app.teller import Teller
-from app.watchdog import SILENCE_S, Watchdog
+from app.watchdog import Watchdog
 from app.wire import (
     AlarmKind,
     EventMessage,
@@ -129,6 +130,8 @@ class Station:
         self.supervisor.start_guard()
         self.supervisor.start_estimator()
         self.supervisor.start_acquisition()
+        self._priority = ServingPriority(self.plan.settings.realtime.priority)
+        self.realtime["server"] = str(self._priority)
 
     def _end_runs_cut_short(self) -> None:
         """Those of a service that was killed; unless another one lives, whose they may be."""
@@ -385,7 +388,10 @@ class Station:
         self.watchdog.heard("recorder")
         self.supervisor.runs("recorder")
         before = self.recorder.state.file
-        self.recorder.heard(bus.unpack_notice(parts))
+        notice = bus.unpack_notice(parts)
+        if "realtime" in notice:
+            self.realtime["recorder"] = notice["realtime"]
+        self.recorder.heard(notice)
         if self.recorder.state.file != before:
             self.tell_state()
 
@@ -456,8 +462,6 @@ class Station:
             due += period_s
             await asyncio.sleep(max(due - time.monotonic(), 0.0))
             asked = due
-            if time.monotonic() - asked > SILENCE_S:  # this process was held up: let it read what waits first
-                self.watchdog.excuse()
             due = max(due, time.monotonic() - period_s)
             self._joiner.join()
             for frame in self._frames.cut():
@@ -467,6 +471,7 @@ class Station:
             self.watchdog.watch(max(time.monotonic() - asked, 0.0))
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
+                self._priority.keep()
                 self._watch_disk()
                 self._watch_calibration()
                 self.control.renew(self.runs.current.by if self.runs.current else None)

@@ -17,6 +17,7 @@ from acquisition import guard
 from acquisition import worker as acquisition_worker
 from acquisition.bus import Endpoints
 from acquisition.nidaq import reset_device
+from acquisition.process import start_child
 from app.plan import ServicePlan
 from app.record import worker as recorder_worker
 from app.record.run_file import Rig
@@ -75,7 +76,9 @@ class Supervisor:
         )  # fmt: skip
         estimator = estimator_worker.Setup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
         rig = Rig(plan.tool, plan.library, plan.settings)
-        recorder = recorder_worker.Setup(os.getpid(), self.endpoints, plan.recordings_folder, rig)
+        recorder = recorder_worker.Setup(
+            os.getpid(), self.endpoints, plan.recordings_folder, rig, plan.settings.realtime.priority
+        )
         self.workers = {
             "acquisition": Worker("acquisition", acquisition_worker.main, acquisition),
             "estimator": Worker("estimator", estimator_worker.main, estimator),
@@ -122,7 +125,7 @@ class Supervisor:
 
     def _start(self, worker: Worker) -> None:
         process = self._context.Process(target=worker.main, args=(worker.setup,), name=f"graspwatch-{worker.name}")
-        process.start()
+        start_child(process)
         worker.process, worker.condition = process, Condition.STARTING
         asyncio.get_running_loop().add_reader(process.sentinel, self._died, worker, process)
 

@@ -15,36 +15,38 @@ GUARD_HUNG_S = 2.0
 
 
 class Watchdog:
-    """Judges by what arrives, without a heartbeat of its own."""
+    """Judges by what arrives, without a heartbeat of its own.
+
+    Silence is what passes while this process could have listened: what came while it was held up waits to be read, and
+    whoever was stopped together with it has to get going again.
+    """
 
     def __init__(self, supervisor: Supervisor, alarms: AlarmBook, tell_event: Callable[[str], None]) -> None:
         self._supervisor = supervisor
         self._alarms = alarms
         self._tell_event = tell_event
         self._heard_s = {"acquisition": 0.0, "estimator": 0.0, "recorder": 0.0, "guard": 0.0}
-        self._from_s = 0.0
+        self._held_up_s = 0.0  # altogether
         self._sampling_since_s = self._estimating_since_s = 0.0
         self.sampling = False
 
+    def _clock_s(self) -> float:
+        return time.monotonic() - self._held_up_s
+
     def heard(self, worker: str) -> None:
-        self._heard_s[worker] = time.monotonic()
+        self._heard_s[worker] = self._clock_s()
 
     def begins_to_estimate(self) -> None:
         """A new estimator: its predecessor's silence is not its own."""
-        self._estimating_since_s = time.monotonic()
-
-    def excuse(self) -> None:
-        """This process was held up: let it read what waits before it judges."""
-        self._from_s = time.monotonic() + HUNG_S
+        self._estimating_since_s = self._clock_s()
 
     def watch(self, held_up_s: float = 0.0) -> None:
         """Raise a technical alarm while a worker is silent, and end it when it speaks again.
 
-        `held_up_s`: by so much this process is late itself; what was said meanwhile waits to be read.
+        `held_up_s`: so long this process did not listen since it watched last.
         """
-        now = time.monotonic() - held_up_s
-        if now < self._from_s:
-            return
+        self._held_up_s += held_up_s
+        now = self._clock_s()
         alive = {name: worker.condition is Condition.RUNNING for name, worker in self._supervisor.workers.items()}
         before, self.sampling = self.sampling, now - self._heard_s["acquisition"] < SILENCE_S
         if not before:

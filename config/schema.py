@@ -678,7 +678,7 @@ class Warnings(Model):
 class Realtime(Model):
     """What acquisition, estimator and guard ask the system for; what it grants is told, and the rest goes without."""
 
-    priority: bool = True  # SCHED_FIFO
+    priority: bool = True  # SCHED_FIFO; for server and recorder, too
     lock_memory: bool = False  # mlockall: nothing of them is ever paged out
     cores: tuple[Annotated[int, Field(ge=0)], ...] = ()  # acquisition on the first, estimator on the next, in turn
     freeze_garbage: bool = True  # Python's collector stays out of the way

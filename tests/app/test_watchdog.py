@@ -71,5 +71,5 @@ def test_what_waits_to_be_read_is_no_silence(workers: Workers) -> None:
     time.sleep(0.4)  # the server is held up; the workers go on
     dog.watch(held_up_s=0.4)
     assert not told
-    dog.watch()
+    watch_for(dog, 0.5)
     assert {"No samples arrive from the tool", "The recorder does not answer: nothing is recorded"} <= {*told}

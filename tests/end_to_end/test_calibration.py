@@ -113,5 +113,5 @@ def test_an_expired_calibration_is_told(tmp_path: Path) -> None:
             ("low", "The tool's calibration expired on 2026-11-27: calibrate it anew before you trust forces")
         ]
         realtime = running.http.get("/api/system").json()["realtime"]
-        assert set(realtime) == {"acquisition", "estimator"}
+        assert set(realtime) == {"acquisition", "estimator", "recorder", "server"}
         assert all(each.startswith("priority ") for each in realtime.values())
