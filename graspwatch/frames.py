@@ -1,0 +1,61 @@
+"""Sample frames: what the tool measured and the filters estimated, at the full rate."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.wire import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
+
+KINDS = {number: kind for kind, number in FRAME_KINDS.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Consecutive samples.
+
+    `columns` is float32, one row a channel, one column a sample, NaN where there is no value; `frame["jaw_force_n"]`
+    and `frame["probability", "liver"]` take one of them, 1-D. Names and units are those of `channels`. A tick is a
+    sample of the tool's clock; `newest_ms` is when the newest was read, by the service's monotonic clock.
+    """
+
+    kind: FrameKind
+    sequence: int
+    first_tick: int
+    newest_ms: float
+    columns: NDArray[np.float32]
+    channels: Sequence[ChannelInfo]
+
+    @classmethod
+    def unpack(cls, data: bytes, channels: Sequence[ChannelInfo]) -> Self:
+        """From the wire; `channels` are those of the `Hello` before it.
+
+        Raises:
+            ValueError: it is no frame, or not one of these channels.
+        """
+        magic, kind, _, columns, rows, sequence, first_tick, newest_ms = FRAME_HEADER.unpack_from(data)
+        if magic != FRAME_MAGIC or columns != len(channels):
+            raise ValueError(f"no frame of {len(channels)} channels")
+        values = np.frombuffer(data, "<f4", offset=FRAME_HEADER.size).reshape(columns, rows)
+        return cls(KINDS[kind], sequence, int(first_tick), newest_ms, values, channels)
+
+    @property
+    def ticks(self) -> NDArray[np.int64]:
+        return np.arange(self.first_tick, self.first_tick + self.columns.shape[1])
+
+    def __len__(self) -> int:
+        return self.columns.shape[1]
+
+    def __getitem__(self, channel: str | tuple[str, str]) -> NDArray[np.float32]:
+        """
+        Raises:
+            KeyError: there is no such channel.
+        """
+        return self.columns[self._places[channel]]
+
+    @cached_property
+    def _places(self) -> dict[str | tuple[str, str], int]:
+        return {(each.name, each.tissue) if each.tissue else each.name: i for i, each in enumerate(self.channels)}
