@@ -33,6 +33,7 @@ class Endpoints:
     events: str
     recorder: str
     guard: str
+    foxglove: str
 
     @classmethod
     def in_folder(cls, folder: Path) -> "Endpoints":

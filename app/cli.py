@@ -39,7 +39,7 @@ from app.report.command import report
 from app.study import command as study
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
-from config.schema import Settings, Tool, ToolKind
+from config.schema import Foxglove, Settings, Tool, ToolKind
 
 app = typer.Typer(
     name="graspwatch",
@@ -81,6 +81,10 @@ def serve(
     config: ConfigOption = None,
     data: DataOption = None,
     demo: Annotated[bool, typer.Option("--demo", help="Repeat a protocol on each tissue in turn.")] = False,
+    foxglove: Annotated[
+        int | None,
+        typer.Option(min=1, max=65535, metavar="PORT", help="Stream to this computer's Foxglove or Lichtblick, too."),
+    ] = None,
 ) -> None:
     """Start the service: dashboard, REST and live stream, with a tool under it.
 
@@ -102,6 +106,8 @@ def serve(
         check_driver(chosen)
     rig = load_tool(RECORDED_WITH)
     settings = _with_tls(settings, tls_cert, tls_key)
+    if foxglove:
+        settings = settings.model_copy(update={"foxglove": Foxglove(port=foxglove)})
     folder, source = data_folder(data, settings), tool or settings.tool
     _serve(
         ServicePlan(chosen, library, settings, held, seed, folder, rig, demo=demo, tool_source=source), host, port
@@ -267,6 +273,9 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
     with contextlib.ExitStack() as unless_served:
         listener = unless_served.enter_context(listen(host or server.host, server.port if port is None else port))
         address, bound = listener.getsockname()[:2]
+        stream_port = None if plan.opened else plan.settings.foxglove.port
+        if stream_port:
+            listen("127.0.0.1", stream_port).close()  # to say it now if the port is taken
         warning = check_bind(address, plan.data, server.tls_cert is not None)
         application = create_app(plan)
         unless_served.pop_all()
@@ -281,8 +290,9 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
     if warning:
         errors.print(warning, style="yellow", soft_wrap=True)
     url = f"{scheme}://{shown}:{bound}"
-    print(f"Dashboard: {url}/  (API: {url}/docs)  Ctrl+C ends it.", flush=True)
-    serve_app(application, listener, server)
+    stream = f"  (Foxglove: ws://localhost:{stream_port})" if stream_port else ""
+    print(f"Dashboard: {url}/  (API: {url}/docs){stream}  Ctrl+C ends it.", flush=True)
+    serve_app(application, listener, plan)
 
 
 def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:

@@ -37,7 +37,7 @@ class Journal:
     def write(self, kind: JournalKind, text: str, **facts: Any) -> bool:
         """`facts`: other fields of `JournalEntry`. False: it is not in the file."""
         entry = JournalEntry(at=datetime.now(UTC).isoformat(timespec="microseconds"), kind=kind, text=text, **facts)
-        log.info("%s: %s", kind.value, text)
+        log.info(text, extra={"kind": kind.value, "by": entry.by})
         self._waiting.append(entry)
         fault = None
         try:

@@ -1,49 +1,101 @@
-"""What the service logs, written by a thread: an error output that nobody reads must hold nobody up."""
+"""What the service logs: to the error output, and as JSON lines to files in the data folder.
+
+Each target has a thread of its own: an error output that nobody reads, or a slow disk, must hold nobody up. Every line
+says which run and which grasp it belongs to, if there is one.
+"""
 
 import logging
 import queue
 import sys
 import threading
 import time
+from dataclasses import dataclass
+from logging.handlers import RotatingFileHandler
+from pathlib import Path
+
+from pythonjsonlogger.json import JsonFormatter
+
+from config.schema import LogFormat, Logs
 
 MOST_LINES = 1000
 LAST_WORDS_S = 0.2
+FILE_BYTES, FILES = 2_000_000, 5
+FOLDER, FILE = "logs", "graspwatch.jsonl"
+
+
+@dataclass(slots=True)
+class About:
+    """What is under way, for the lines that are logged meanwhile."""
+
+    run: str | None = None
+    grasp: int | None = None
+
+
+ABOUT = About()
 
 
 class LogsAside(logging.Handler):
     """A paused terminal or a full pipe blocks whoever writes to it; here that is a thread, and lines are dropped."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-        self._lines: queue.Queue[str] = queue.Queue(MOST_LINES)
+    def __init__(self, target: logging.Handler, level: int) -> None:
+        super().__init__(level)
+        self._target = target
+        self._records: queue.Queue[logging.LogRecord] = queue.Queue(MOST_LINES)
         self._dropped = 0
         threading.Thread(target=self._write, name="logs", daemon=True).start()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Take a line, or count it where there are too many."""
+        record.msg, record.args = record.getMessage(), None  # as it is now
+        record.run, record.grasp = ABOUT.run, ABOUT.grasp
         try:
-            self._lines.put_nowait(self.format(record))
+            self._records.put_nowait(record)
         except queue.Full:
             self._dropped += 1
 
     def close(self) -> None:
         """Wait for the last lines, but not for long."""
         end_s = time.monotonic() + LAST_WORDS_S
-        while self._lines.unfinished_tasks and time.monotonic() < end_s:
+        while self._records.unfinished_tasks and time.monotonic() < end_s:
             time.sleep(0.01)
         super().close()
 
     def _write(self) -> None:
         while True:
-            line, dropped = self._lines.get(), self._dropped
-            print(line, file=sys.stderr, flush=True)
+            record, dropped = self._records.get(), self._dropped
+            self._target.handle(record)
             if dropped:
                 self._dropped -= dropped
-                print(f"{dropped} lines before this one were dropped: nobody read them", file=sys.stderr, flush=True)
-            self._lines.task_done()
+                self._target.handle(_warning(f"{dropped} lines before this one were dropped: nobody read them"))
+            self._records.task_done()
 
 
-def log_aside() -> None:
+class _File(RotatingFileHandler):
+    """A full disk is told by an alarm; here its lines are lost."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Nothing."""
+
+
+def log_aside(settings: Logs, data: Path) -> None:
     """From here on, for the whole process."""
-    logging.basicConfig(handlers=[LogsAside()], level=logging.WARNING, force=True)
+    fields = ("levelname", "name", "message", "run", "grasp")
+    as_json = JsonFormatter(fields, timestamp="at", rename_fields={"levelname": "level", "name": "logger"})
+    as_text = logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
+    output = logging.StreamHandler(sys.stderr)
+    output.setFormatter(as_json if settings.format is LogFormat.JSON else as_text)
+    handlers: list[logging.Handler] = [LogsAside(output, logging.getLevelName(settings.level.upper()))]
+    if settings.keep:
+        folder = data / FOLDER
+        folder.mkdir(mode=0o700, exist_ok=True)
+        file = _File(folder / FILE, maxBytes=FILE_BYTES, backupCount=FILES - 1, encoding="utf-8", delay=True)
+        file.setFormatter(as_json)
+        handlers.append(LogsAside(file, logging.INFO))
+    logging.basicConfig(handlers=handlers, level=logging.WARNING, force=True)
+    logging.getLogger("graspwatch").setLevel(logging.INFO)
+
+
+def _warning(text: str) -> logging.LogRecord:
+    record = logging.LogRecord("graspwatch", logging.WARNING, __file__, 0, text, None, None)
+    record.run = record.grasp = None
+    return record

@@ -47,7 +47,6 @@ from app.station import Station
 from app.store.opening import open_for_service
 from app.study.desk import StudyDesk
 from config.errors import ServiceError
-from config.schema import Server
 
 STATIC = Path(__file__).parent / "static"
 DEAD_READER_MS = 10_000
@@ -173,9 +172,10 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def serve(app: FastAPI, listener: socket.socket, server: Server) -> None:
+def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
     """Serve until SIGINT or SIGTERM."""
-    log_aside()
+    server = plan.settings.server
+    log_aside(plan.settings.logs, plan.data)
     config = uvicorn.Config(
         app,
         http=bounded(server.most_connections),

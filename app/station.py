@@ -27,6 +27,7 @@ from app.frames import FrameBuffer
 from app.joiner import Joiner
 from app.journal import Journal
 from app.live import Hub
+from app.logs import ABOUT
 from app.metrics import Metrics
 from app.people.lease import Control
 from app.plan import ServicePlan
@@ -45,6 +46,7 @@ from app.wire import (
     EventMessage,
     Grasp,
     GraspEnded,
+    Identification,
     JournalKind,
     Phase,
     Priority,
@@ -121,6 +123,7 @@ class Station:
             self._listen(endpoints.samples, self._on_acquisition),
             self._listen(endpoints.recorder, self._on_recorder),
             self._listen(endpoints.guard, self._on_guard),
+            self._listen(endpoints.foxglove, self._on_foxglove),
             self._tick(),
         ):
             task = asyncio.create_task(work)
@@ -130,6 +133,7 @@ class Station:
         self.supervisor.start_guard()
         self.supervisor.start_estimator()
         self.supervisor.start_acquisition()
+        self.supervisor.start_foxglove()
         self._priority = ServingPriority(self.plan.settings.realtime.priority)
         self.realtime["server"] = str(self._priority)
 
@@ -189,11 +193,13 @@ class Station:
         self._check_free()
         prefix = DEMONSTRATION if self.demo else ""
         run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
+        ABOUT.run = run.id
         self.recorder.brief(Brief(run.id, protocol.model_dump_json(), cycles, tissue, by))
         try:
             await self._commander.send(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue))
         except GraspwatchError as error:
             self.runs.forget(run.id)
+            ABOUT.run = None
             if isinstance(error, ServiceError):  # it may yet obey
                 with contextlib.suppress(ServiceError):
                     await self._commander.send(bus.Stop("nobody waits for this run any more"))
@@ -296,6 +302,8 @@ class Station:
 
     def _tell(self, message: BaseModel) -> None:
         """To the viewers, and to those who keep it."""
+        if isinstance(message, Identification):
+            ABOUT.grasp = message.grasp if message.in_grasp else None
         self.hub.broadcast(message)
         self._keep(message)
 
@@ -306,6 +314,7 @@ class Station:
 
     def _forget_grasp(self) -> None:
         """A worker begins anew: nobody will tell the end of what was under way."""
+        ABOUT.grasp = None
         self.alarms.end_force()
         self._teller = self._new_teller()
 
@@ -408,6 +417,11 @@ class Station:
             case "not_zeroed":
                 self._on_motor(notice["text"])
 
+    def _on_foxglove(self, parts: list[bytes]) -> None:
+        if self.supervisor.runs("foxglove"):
+            self.alarms.end("foxglove")
+            self.tell_state()
+
     def _on_motor(self, fault: str | None) -> None:
         """Whether the motor that nobody drives any more could be brought to zero."""
         if fault:
@@ -427,6 +441,7 @@ class Station:
         if ended:
             self._keep(ended)
         self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN, run=ended)
+        ABOUT.run = None
         if state is not RunState.FINISHED:
             self.demo = None
         self.tell_state()
@@ -436,6 +451,9 @@ class Station:
         if worker == "recorder":
             self.recorder.died(text)
             self.tell_state()
+            return
+        if worker == "foxglove":
+            self.alarms.raise_technical(worker, Priority.LOW, text)
             return
         if worker == "guard":
             self.alarms.raise_technical(worker, Priority.HIGH, f"{text} A hung acquisition would be noticed late")

@@ -18,6 +18,7 @@ from acquisition import worker as acquisition_worker
 from acquisition.bus import Endpoints
 from acquisition.nidaq import reset_device
 from acquisition.process import start_child
+from app import foxglove as foxglove_worker
 from app.plan import ServicePlan
 from app.record import worker as recorder_worker
 from app.record.run_file import Rig
@@ -87,6 +88,12 @@ class Supervisor:
         if plan.tool.kind is ToolKind.NIDAQ:  # a simulated tool's motor is gone with its worker
             setup = guard.Setup(os.getpid(), self.endpoints, plan.tool, plan.settings.realtime)
             self.workers["guard"] = Worker("guard", guard.main, setup)
+        if plan.settings.foxglove.port:
+            setup = foxglove_worker.Setup(
+                os.getpid(), self.endpoints, plan.settings.foxglove.port, plan.tool.title, plan.library,
+                plan.tool.board.sample_rate_hz,
+            )  # fmt: skip
+            self.workers["foxglove"] = Worker("foxglove", foxglove_worker.main, setup)
 
     def begin_with_fault(self, why: str) -> None:
         """What the next acquisition worker begins with; empty: nothing is at fault."""
@@ -99,6 +106,10 @@ class Supervisor:
     def start_guard(self) -> None:
         if "guard" in self.workers:
             self._start(self.workers["guard"])
+
+    def start_foxglove(self) -> None:
+        if "foxglove" in self.workers:
+            self._start(self.workers["foxglove"])
 
     @property
     def is_guarded(self) -> bool:

@@ -684,6 +684,25 @@ class Realtime(Model):
     freeze_garbage: bool = True  # Python's collector stays out of the way
 
 
+class LogFormat(StrEnum):
+    TEXT = "text"
+    JSON = "json"
+
+
+class Logs(Model):
+    """What is said on the error output; more of it is kept in `logs/` of the data folder, as JSON lines."""
+
+    level: Literal["info", "warning", "error"] = "warning"
+    format: LogFormat = LogFormat.TEXT
+    keep: bool = True
+
+
+class Foxglove(Model):
+    """The live stream for Foxglove, Lichtblick and the like. They cannot sign in: this computer's programs only."""
+
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+
+
 class Settings(Model):
     """`graspwatch.toml`: everything of the service that is not a tool, a library or a protocol."""
 
@@ -700,3 +719,5 @@ class Settings(Model):
     limiter: Limiter = Limiter()
     warnings: Warnings = Warnings()
     recording: Recording = Recording()
+    logs: Logs = Logs()
+    foxglove: Foxglove = Foxglove()

@@ -312,4 +312,5 @@ class Graspwatch:
         return RefusedError(status, problem.detail, {each["field"]: each["message"] for each in problem.errors or []})
 
     def _unreachable(self, error: Exception) -> UnreachableError:
-        return UnreachableError(f"Nobody answers at {self._url} ({error or type(error).__name__}): is it running there?")
+        why = str(error) or type(error).__name__
+        return UnreachableError(f"Nobody answers at {self._url} ({why}): is it running there?")
