@@ -4,7 +4,6 @@ WORKDIR /build/frontend
 COPY frontend/package.json frontend/package-lock.json ./
 RUN npm ci --no-audit --no-fund
 COPY frontend ./
-COPY CHANGELOG.md /build/
 RUN npm run build
 
 # The service as a wheel, in an environment of its own
@@ -30,7 +29,7 @@ RUN useradd --create-home --uid 10001 graspwatch \
 COPY --from=service /opt/graspwatch /opt/graspwatch
 # Compiled filters are kept in the cache; what is compiled now is a volume's first content, for the processor of its kind
 ENV PATH=/opt/graspwatch/bin:$PATH NUMBA_CACHE_DIR=/var/cache/graspwatch PYTHONDONTWRITEBYTECODE=1
-USER graspwatch
+USER 10001
 WORKDIR /var/lib/graspwatch
 RUN graspwatch run trapezoid_4hz --tissue liver --cycles 1
 VOLUME ["/var/lib/graspwatch", "/var/cache/graspwatch"]

@@ -1,5 +1,5 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test long audit sbom bench safety soak dashboard figures screenshots reference wire lock clean
+.PHONY: run test long audit sbom bench safety soak dashboard site wheel figures screenshots reference wire lock clean
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 
@@ -46,6 +46,12 @@ soak: $(VENV)/.installed ## random faults for an hour (SOAK_MINUTES=10 for less)
 	$(BIN)/python -m tests.soak --minutes $(SOAK_MINUTES)
 
 dashboard: app/static/index.html ## build the dashboard
+
+wheel: $(VENV)/.installed app/static/index.html ## what other machines install, the dashboard in it: build/wheels
+	$(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir build/wheels .
+
+site: $(VENV)/.installed ## the documentation as pages: build/site/index.html
+	$(BIN)/mkdocs build --quiet --strict
 
 screenshots: $(VENV)/.installed app/static/index.html ## take the dashboard in each of its states (needs Chromium)
 	$(BIN)/python tests/screenshots.py

@@ -37,6 +37,7 @@ from app.options import (
 from app.people import command as people
 from app.report.command import report
 from app.study import command as study
+from app.support import support
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
 from config.schema import Foxglove, Settings, Tool, ToolKind
@@ -55,7 +56,7 @@ app.add_typer(study.app, name="study")
 app.add_typer(audit.app, name="audit")
 app.add_typer(people.app, name="token")
 app.add_typer(calibrate.app, name="calibrate")
-for command in (*exchange.COMMANDS, report, check, bench):
+for command in (*exchange.COMMANDS, report, check, bench, support):
     app.command(command.__name__.strip("_").replace("_", "-"))(command)
 app.command("learn", cls=LearnCommand)(learn)
 

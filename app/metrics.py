@@ -1,6 +1,19 @@
 """What an administrator watches, for `GET /metrics`."""
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Enum,
+    Gauge,
+    Histogram,
+    Info,
+    PlatformCollector,
+    ProcessCollector,
+    generate_latest,
+)
+
+from app import __version__
+from app.wire import Alarm, AlarmKind, Phase, Priority
 
 LATENESS_BUCKETS_S = tuple(
     ms / 1e3 for ms in (0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
@@ -12,12 +25,25 @@ class Metrics:
 
     def __init__(self) -> None:
         registry = self._registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        PlatformCollector(registry=registry)
+        Info("graspwatch_build", "What runs here", registry=registry).info({"version": __version__})
+        self.phase = Enum(
+            "graspwatch_phase", "Where the tool stands", states=[each.value for each in Phase], registry=registry
+        )
+        self.alarms = Gauge(
+            "graspwatch_alarms", "Alarms that are on, by kind and priority", ["kind", "priority"], registry=registry
+        )
+        self.free_disk = Gauge(
+            "graspwatch_free_disk_bytes", "Room for what is kept; NaN: the data folder is gone", registry=registry
+        )
+        self.recording = Gauge("graspwatch_recording", "1 while a run is being recorded", registry=registry)
         self.samples = Counter("graspwatch_samples", "Samples received from the tool", registry=registry)
         self.lost_samples = Counter("graspwatch_lost_samples", "Samples known to be missing", registry=registry)
         self.missing_blocks = Gauge(
-            "graspwatch_missing_blocks", "Blocks lost between the workers", ["receiver"], registry=registry
+            "graspwatch_missing_blocks", "Blocks lost between the workers, by receiver", ["receiver"], registry=registry
         )
-        self.grasps = Counter("graspwatch_grasps", "Finished grasps", ["label"], registry=registry)
+        self.grasps = Counter("graspwatch_grasps", "Finished grasps, by label", ["label"], registry=registry)
         self.index_left_out = Gauge(
             "graspwatch_index_left_out", "Messages that the index lacks until it is rebuilt", registry=registry
         )
@@ -34,7 +60,16 @@ class Metrics:
             buckets=LATENESS_BUCKETS_S,
             registry=registry,
         )
-        self.worker_deaths = Counter("graspwatch_worker_deaths", "Workers that died", ["worker"], registry=registry)
+        self.worker_deaths = Counter(
+            "graspwatch_worker_deaths", "Workers that died, by worker", ["worker"], registry=registry
+        )
+
+    def tell_alarms(self, alarms: list[Alarm]) -> None:
+        """How many of each kind and priority there are, none included."""
+        for kind in AlarmKind:
+            for priority in Priority:
+                count = sum(each.kind is kind and each.priority is priority for each in alarms)
+                self.alarms.labels(kind.value, priority.value).set(count)
 
     def text(self) -> bytes:
         return generate_latest(self._registry)

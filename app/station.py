@@ -484,8 +484,6 @@ class Station:
             self._joiner.join()
             for frame in self._frames.cut():
                 self.hub.broadcast_frame(frame)
-            self.metrics.viewers.set(len(self.hub.viewers))
-            self.metrics.index_left_out.set(self.index.left_out)
             self.watchdog.watch(max(time.monotonic() - asked, 0.0))
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
@@ -494,6 +492,16 @@ class Station:
                 self._watch_calibration()
                 self.control.renew(self.runs.current.by if self.runs.current else None)
                 self.tell_state()
+
+    def measured(self) -> bytes:
+        """As Prometheus reads it."""
+        self.metrics.phase.state(self.phase.value)
+        self.metrics.tell_alarms(self.alarms.all())
+        self.metrics.free_disk.set(float("nan") if self._free_bytes is None else self._free_bytes)
+        self.metrics.recording.set(self.recorder.state.file is not None)
+        self.metrics.viewers.set(len(self.hub.viewers))
+        self.metrics.index_left_out.set(self.index.left_out)
+        return self.metrics.text()
 
     def conditions(self) -> dict[str, str]:
         """How each worker is; a service without a tool has none."""

@@ -93,4 +93,4 @@ async def tissues(request: Request) -> LibraryInfo:
 @router.get("/metrics", dependencies=[needs(Role.VIEWER)], include_in_schema=False)
 async def metrics(request: Request) -> Response:
     """Prometheus metrics."""
-    return Response(station_of(request).metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+    return Response(station_of(request).measured(), media_type="text/plain; version=0.0.4; charset=utf-8")

@@ -1,0 +1,155 @@
+"""`graspwatch support`: one file for whoever is asked for help, with what he would ask for, and no secrets."""
+
+import json
+import os
+import platform
+import re
+import resource
+import ssl
+import zipfile
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from app import __version__
+from app.audit.check import check
+from app.disk import free_bytes
+from app.logs import FILE
+from app.logs import FOLDER as LOGS
+from app.options import ConfigOption, DataOption, ToolOption, data_folder, errors
+from app.people import tokens
+from config.errors import ConfigurationError, GraspwatchError
+from config.load import load_library, load_settings, load_tool
+from config.schema import Settings
+
+HIDDEN = "(hidden)"
+TOKEN = re.compile(rf"{tokens.PREFIX}[\w-]{{16,}}")  # none should be in any of it; this is the second lock
+ANSWER_S = 5.0
+QUESTIONS = {
+    "health.json": "/api/health", "system.json": "/api/system", "alarms.json": "/api/alarms", "metrics.txt": "/metrics",
+}  # fmt: skip
+OUR_VARIABLES = ("GRASPWATCH_", "NUMBA_", "PYTHON", "OMP_", "OPENBLAS_")
+READ_ME = (
+    "What Graspwatch is and how it stands, for somebody who helps: versions, machine, settings, tool, library, the "
+    "last logs, whether journal and index are sound, and what the running service says of itself.\n\n"
+    "It holds no token, no password, no sample and no recording. It does hold the names of those who used the tool and "
+    "what they did (logs/): look through it before you send it.\n"
+)
+
+
+def support(
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.zip", help="Where to; default: graspwatch-support-TIME.zip here.")
+    ] = None,
+    url: Annotated[
+        str | None, typer.Option(metavar="URL", help="Of the running service; default: as configured, on this machine.")
+    ] = None,
+    token: Annotated[
+        str | None,
+        typer.Option(envvar="GRASPWATCH_TOKEN", metavar="TOKEN", help="A viewer's, where the service asks for one."),
+    ] = None,
+    tool: ToolOption = None,
+    config: ConfigOption = None,
+    data: DataOption = None,
+) -> None:
+    """Write a file for whoever is asked for help: versions, settings without secrets, logs, health.
+
+    Example: graspwatch support --out help.zip
+    """
+    settings = load_settings(config)
+    folder = data_folder(data, settings)
+    path = out or Path(f"graspwatch-support-{datetime.now(UTC):%Y%m%d-%H%M%S}.zip")
+    address = url or f"http://localhost:{settings.server.port}"
+    parts = {"README.txt": READ_ME} | _local(settings, tool, folder) | _service(address, token)
+    for file in sorted((folder / LOGS).glob(f"{FILE}*")):
+        parts[f"{LOGS}/{file.name}"] = file.read_text(encoding="utf-8", errors="replace")
+    try:
+        with zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED) as bundle:
+            for name, content in parts.items():
+                bundle.writestr(name, TOKEN.sub(HIDDEN, content))
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written ({error.strerror}). Name another with --out.") from None
+    errors.print(READ_ME, markup=False, soft_wrap=True)
+    print(path)
+
+
+def _local(settings: Settings, tool: str | None, data: Path) -> dict[str, str]:
+    """What can be said without the service. Whatever cannot be found out says why instead."""
+    wanted: dict[str, Callable[[], Any]] = {
+        "about.json": _about,
+        "settings.json": lambda: settings.model_dump(mode="json"),
+        "tool.json": lambda: load_tool(tool or settings.tool).model_dump(mode="json"),
+        "library.json": lambda: load_library(settings.library).model_dump(mode="json"),
+        "data.json": lambda: _data(data),
+        "journal.json": lambda: check(data, ()).model_dump(mode="json"),
+        "index.json": lambda: _index(settings, data),
+    }
+    parts = {}
+    for name, tell in wanted.items():
+        try:
+            parts[name] = json.dumps(tell(), indent=2, ensure_ascii=False, default=str)
+        except (GraspwatchError, OSError) as error:
+            parts[f"{name}.txt"] = f"It could not be found out: {error}\n"
+    return parts
+
+
+def _index(settings: Settings, data: Path) -> dict[str, Any]:
+    from app.store.database import index_url
+    from app.store.rebuild import READERS
+    from app.store.status import status
+
+    setting = settings.index_url.get_secret_value() if settings.index_url else None
+    return asdict(status(index_url(setting, data), data, READERS))
+
+
+def _about() -> dict[str, Any]:
+    limits = {"RTPRIO": resource.RLIMIT_RTPRIO, "MEMLOCK": resource.RLIMIT_MEMLOCK, "NOFILE": resource.RLIMIT_NOFILE}
+    return {
+        "at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "graspwatch": __version__,
+        "python": platform.python_version(),
+        "machine": platform.platform(),
+        "cores": os.cpu_count(),
+        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        "limits": {name: resource.getrlimit(number) for name, number in limits.items()},
+        "variables": {
+            name: HIDDEN if "TOKEN" in name else value
+            for name, value in sorted(os.environ.items())
+            if name.startswith(OUR_VARIABLES)
+        },
+        "packages": dict(sorted((each.metadata["Name"], each.version) for each in distributions())),
+    }
+
+
+def _data(data: Path) -> dict[str, Any]:
+    recordings = sorted((data / "recordings").glob("*.mcap"))
+    people = tokens.read(data)
+    return {
+        "folder": str(data),
+        "free_bytes": free_bytes(data),
+        "recordings": {path.name: path.stat().st_size for path in recordings},
+        "people": Counter(each.role.value for each in people if each.good),
+    }
+
+
+def _service(url: str, token: str | None) -> dict[str, str]:
+    """What the running service says of itself, or why it says nothing."""
+    import httpx  # takes a tenth of a second
+
+    parts = {}
+    headers = {"Authorization": f"Bearer {token}"} if token else {}
+    with httpx.Client(base_url=url, headers=headers, timeout=ANSWER_S) as service:
+        for name, path in QUESTIONS.items():
+            try:
+                answer = service.get(path)
+            except (httpx.HTTPError, ssl.SSLError) as error:
+                parts[f"service/{name}.txt"] = f"Nobody answers at {url}{path}: {error}\n"
+            else:
+                parts[f"service/{name}"] = answer.text
+    return parts

@@ -1,0 +1,11 @@
+"""What `mkdocs` needs to know of this checkout: pages link to source files, which a site does not have."""
+
+import re
+from typing import Any
+
+OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!reference/|decisions/)(?![\w-]+\.md)[^)]*\)")
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """A link to a file outside docs/ becomes its name."""
+    return OUTSIDE.sub(r"`\1`", markdown)
