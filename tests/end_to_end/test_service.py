@@ -343,14 +343,17 @@ def test_what_a_held_up_worker_hears_too_late_is_not_obeyed_except_a_stop(servic
     service.http.post("/api/disarm")
     acquisition = service.worker("acquisition")
     with Listener(service) as listener:
+        listener.listen(lambda: [state["safety"] for state in listener.of("state")][-1:] == ["disarmed"])
+        begin = len(listener.messages)
         os.kill(acquisition, signal.SIGSTOP)
         try:
             assert service.http.post("/api/arm").status_code >= 400
-            begin = len(listener.messages)
+            halfway = len(listener.messages)
         finally:
             os.kill(acquisition, signal.SIGCONT)
-        listener.listen(lambda: len([each for each in listener.messages[begin:] if each["type"] == "state"]) > 3)
-        assert {state["safety"] for state in listener.of("state")} == {"disarmed"}
+        listener.listen(lambda: len([each for each in listener.messages[halfway:] if each["type"] == "state"]) > 3)
+        states = [each for each in listener.messages[begin:] if each["type"] == "state"]
+        assert {state["safety"] for state in states} == {"disarmed"}
         run = service.run(protocol="trapezoid_025hz", cycles=5, tissue="bladder")
         os.kill(acquisition, signal.SIGSTOP)
         try:
