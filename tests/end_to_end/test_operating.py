@@ -51,7 +51,7 @@ def test_what_happens_within_a_grasp_names_it(service: Service) -> None:
     os.kill(service.worker("recorder"), signal.SIGKILL)
     died = until(lambda: [each for each in lines(service) if "recorder worker died" in each["message"]])
     service.http.post("/api/stop")
-    assert [(each["run"], each["grasp"]) for each in died] == [(run, grasp)]
+    assert {(each["run"], each["grasp"]) for each in died} == {(run, grasp)}
 
 
 def test_on_the_error_output_it_speaks_json_where_it_is_told_to(tmp_path: Path) -> None:
