@@ -1,6 +1,6 @@
 """`python deploy/build.py FOLDER`: carry out the steps of the Dockerfile in a folder, where there is no Docker engine.
 
-All stages share one root, FOLDER: a path of the image is a path below it. Users cannot be made and images not be pulled;
+All stages share one root, FOLDER: a path of the image is a path below it. Users cannot be made, nor images pulled;
 Python is this one, Node is npm's. What comes out at FOLDER/opt/graspwatch is what the image would run.
 """
 

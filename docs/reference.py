@@ -7,8 +7,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from reference_service import written as service
-
 import config.schema
 from config.schema import Tool
 
@@ -104,6 +102,8 @@ def _one(prop: dict[str, Any], schema: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
+    from reference_service import written as service
+
     for file, content in written().items():
         (FOLDER / file).write_text(content, encoding="utf-8")
     for file, content in service().items():

@@ -3,7 +3,7 @@
 import re
 from typing import Any
 
-OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!reference/|decisions/)(?![\w-]+\.md)[^)]*\)")
+OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!reference/|decisions/)(?!(?!README|CHANGELOG|CONTRIBUTING)[\w-]+\.md)[^)]*\)")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

@@ -1,9 +1,10 @@
-"""The reference of the tool file: as the classes are now, with every field explained, and true of the shipped files."""
+"""The reference: as the code is now. Of the tool file: every field explained, and true of the shipped files."""
 
 import importlib.util
 import json
 import tomllib
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import jsonschema
@@ -14,16 +15,25 @@ from config.load import CONFIG_DIR
 DOCS = Path(__file__).parents[2] / "docs"
 
 
+def module(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
 def generated() -> dict[str, str]:
-    spec = importlib.util.spec_from_file_location("reference", DOCS / "reference.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.written()
+    return module("reference").written()
 
 
 @pytest.mark.parametrize("name", ["tool-file.md", "tool.schema.json"])
 def test_it_is_as_the_classes_are(name: str) -> None:
     assert (DOCS / "reference" / name).read_text(encoding="utf-8") == generated()[name], "run: make reference"
+
+
+def test_the_service_is_as_its_reference_says() -> None:
+    renewed = module("reference_service").written()
+    assert {name: (DOCS / name).read_text(encoding="utf-8") for name in renewed} == renewed, "run: make reference"
 
 
 def test_every_field_is_explained() -> None:
