@@ -31,15 +31,12 @@ class About:
     grasp: int | None = None
 
 
-ABOUT = About()
-
-
 class LogsAside(logging.Handler):
     """A paused terminal or a full pipe blocks whoever writes to it; here that is a thread, and lines are dropped."""
 
-    def __init__(self, target: logging.Handler, level: int) -> None:
+    def __init__(self, target: logging.Handler, level: int, about: About) -> None:
         super().__init__(level)
-        self._target = target
+        self._target, self._about = target, about
         self._records: queue.Queue[logging.LogRecord] = queue.Queue(MOST_LINES)
         self._dropped = 0
         threading.Thread(target=self._write, name="logs", daemon=True).start()
@@ -47,7 +44,7 @@ class LogsAside(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Take a line, or count it where there are too many."""
         record.msg, record.args = record.getMessage(), None  # as it is now
-        record.run, record.grasp = ABOUT.run, ABOUT.grasp
+        record.run, record.grasp = self._about.run, self._about.grasp
         try:
             self._records.put_nowait(record)
         except queue.Full:
@@ -77,20 +74,20 @@ class _File(RotatingFileHandler):
         """Nothing."""
 
 
-def log_aside(settings: Logs, data: Path) -> None:
-    """From here on, for the whole process."""
+def log_aside(settings: Logs, data: Path, about: About) -> None:
+    """From here on, for the whole process; lines are about what `about` says when they are logged."""
     fields = ("levelname", "name", "message", "run", "grasp")
     as_json = JsonFormatter(fields, timestamp="at", rename_fields={"levelname": "level", "name": "logger"})
     as_text = logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
     output = logging.StreamHandler(sys.stderr)
     output.setFormatter(as_json if settings.format is LogFormat.JSON else as_text)
-    handlers: list[logging.Handler] = [LogsAside(output, logging.getLevelName(settings.level.upper()))]
+    handlers: list[logging.Handler] = [LogsAside(output, logging.getLevelName(settings.level.upper()), about)]
     if settings.keep:
         folder = data / FOLDER
         folder.mkdir(mode=0o700, exist_ok=True)
         file = _File(folder / FILE, maxBytes=FILE_BYTES, backupCount=FILES - 1, encoding="utf-8", delay=True)
         file.setFormatter(as_json)
-        handlers.append(LogsAside(file, logging.INFO))
+        handlers.append(LogsAside(file, logging.INFO, about))
     logging.basicConfig(handlers=handlers, level=logging.WARNING, force=True)
     logging.getLogger("graspwatch").setLevel(logging.INFO)
 

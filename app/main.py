@@ -19,7 +19,7 @@ from app.audit.deeds import Deeds
 from app.audit.watch import ChainWatch
 from app.bench.desk import CalibrationDesk
 from app.demo import demonstrate
-from app.logs import log_aside
+from app.logs import About, log_aside
 from app.people.door import Loop, WebSocketDoor, allow_many_files, bounded
 from app.people.gate import Gate
 from app.people.guard import Guard
@@ -79,7 +79,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        station = app.state.station = Station(plan, store)
+        station = app.state.station = Station(plan, store, app.state.about)
         app.state.calibration = CalibrationDesk(plan, station)
         desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
         index = contextlib.aclosing(station.index)  # closed last: whatever ends has something to tell
@@ -108,7 +108,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
         description="Watches a laparoscopic grasper close on tissue. Research instrument, not a medical device.",
         lifespan=lifespan,
     )
-    app.state.guard = guard
+    app.state.guard, app.state.about = guard, About()
     rights = rights_of(ROUTERS)
     describe(app, rights)
     problems.install(app)
@@ -175,7 +175,7 @@ def listen(host: str, port: int) -> socket.socket:
 def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
     """Serve until SIGINT or SIGTERM."""
     server = plan.settings.server
-    log_aside(plan.settings.logs, plan.data)
+    log_aside(plan.settings.logs, plan.data, app.state.about)
     config = uvicorn.Config(
         app,
         http=bounded(server.most_connections),

@@ -27,7 +27,7 @@ from app.frames import FrameBuffer
 from app.joiner import Joiner
 from app.journal import Journal
 from app.live import Hub
-from app.logs import ABOUT
+from app.logs import About
 from app.metrics import Metrics
 from app.people.lease import Control
 from app.plan import ServicePlan
@@ -68,8 +68,8 @@ CLOCK_DRIFT_S = 5e-7  # a block: 100 ppm between the board's clock and the compu
 class Station:
     """One tool, its runs, its viewers."""
 
-    def __init__(self, plan: ServicePlan, store: Store) -> None:
-        self.plan = plan
+    def __init__(self, plan: ServicePlan, store: Store, about: About) -> None:
+        self.plan, self.about = plan, about
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
         self.metrics = Metrics()
         self.hub = Hub(plan.settings.server.chart_window_frames)
@@ -193,13 +193,13 @@ class Station:
         self._check_free()
         prefix = DEMONSTRATION if self.demo else ""
         run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
-        ABOUT.run = run.id
+        self.about.run = run.id
         self.recorder.brief(Brief(run.id, protocol.model_dump_json(), cycles, tissue, by))
         try:
             await self._commander.send(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue))
         except GraspwatchError as error:
             self.runs.forget(run.id)
-            ABOUT.run = None
+            self.about.run = None
             if isinstance(error, ServiceError):  # it may yet obey
                 with contextlib.suppress(ServiceError):
                     await self._commander.send(bus.Stop("nobody waits for this run any more"))
@@ -303,7 +303,7 @@ class Station:
     def _tell(self, message: BaseModel) -> None:
         """To the viewers, and to those who keep it."""
         if isinstance(message, Identification):
-            ABOUT.grasp = message.grasp if message.in_grasp else None
+            self.about.grasp = message.grasp if message.in_grasp else None
         self.hub.broadcast(message)
         self._keep(message)
 
@@ -314,7 +314,7 @@ class Station:
 
     def _forget_grasp(self) -> None:
         """A worker begins anew: nobody will tell the end of what was under way."""
-        ABOUT.grasp = None
+        self.about.grasp = None
         self.alarms.end_force()
         self._teller = self._new_teller()
 
@@ -441,7 +441,7 @@ class Station:
         if ended:
             self._keep(ended)
         self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN, run=ended)
-        ABOUT.run = None
+        self.about.run = None
         if state is not RunState.FINISHED:
             self.demo = None
         self.tell_state()

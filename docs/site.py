@@ -3,7 +3,8 @@
 import re
 from typing import Any
 
-OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!reference/|decisions/)(?!(?!README|CHANGELOG|CONTRIBUTING)[\w-]+\.md)[^)]*\)")
+PAGES = r"(?:reference/|decisions/|(?!README|CHANGELOG|CONTRIBUTING)[\w-]+\.md)"
+OUTSIDE = re.compile(rf"\[([^\]]+)\]\((?:\.\./)+(?!{PAGES})[^)]*\)")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

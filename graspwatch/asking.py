@@ -1,0 +1,63 @@
+"""Requests and their answers: httpx, with the service's own words for what went wrong."""
+
+from collections.abc import AsyncGenerator
+from http import HTTPStatus
+from typing import Any, TypeVar
+
+import httpx
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from app.wire import Problem
+from graspwatch.errors import RefusedError, UnreachableError
+
+Answer = TypeVar("Answer")
+
+
+def refused(status: int, content: bytes) -> RefusedError:
+    """What an answer says that is none."""
+    try:
+        problem = Problem.model_validate_json(content)
+    except ValidationError:
+        return RefusedError(status, HTTPStatus(status).phrase, {})
+    return RefusedError(status, problem.detail, {each["field"]: each["message"] for each in problem.errors or []})
+
+
+def unreachable(url: httpx.URL, error: Exception) -> UnreachableError:
+    why = str(error) or type(error).__name__
+    return UnreachableError(f"Nobody answers at {str(url).rstrip('/')} ({why}): is it running there?")
+
+
+class Asking:
+    """Every method may raise `UnreachableError` and `RefusedError`."""
+
+    def __init__(self, http: httpx.AsyncClient) -> None:
+        self._http = http
+
+    async def ask(
+        self, answer: type[Answer], method: str, path: str, body: BaseModel | None = None, *,
+        params: dict[str, Any] | None = None, fine: tuple[int, ...] = (),
+    ) -> Answer:  # fmt: skip
+        """An answer of this type; those with a status in `fine` are answers, too."""
+        content = body.model_dump(mode="json", exclude_none=True) if body else None
+        response = await self.request(method, path, fine=fine, json=content, params=params)
+        return TypeAdapter(answer).validate_json(response.content)
+
+    async def request(self, method: str, path: str, *, fine: tuple[int, ...] = (), **request: Any) -> httpx.Response:
+        try:
+            response = await self._http.request(method, path, **request)
+        except httpx.TransportError as error:
+            raise unreachable(self._http.base_url, error) from error
+        if response.is_error and response.status_code not in fine:
+            raise refused(response.status_code, response.content)
+        return response
+
+    async def parts(self, path: str) -> AsyncGenerator[bytes, None]:
+        """A long answer, piece by piece."""
+        try:
+            async with self._http.stream("GET", path) as response:
+                if response.is_error:
+                    raise refused(response.status_code, await response.aread())
+                async for part in response.aiter_bytes():
+                    yield part
+        except httpx.TransportError as error:
+            raise unreachable(self._http.base_url, error) from error

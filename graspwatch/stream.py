@@ -1,0 +1,75 @@
+"""The live stream: messages and frames of `/api/live`, in order."""
+
+import contextlib
+import ssl
+from collections.abc import AsyncGenerator, AsyncIterator, Mapping
+
+import httpx
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+
+from app.wire import SCHEMA_VERSION, FrameReceived, Hello, ServerMessage
+from graspwatch.asking import refused, unreachable
+from graspwatch.errors import ConnectionLostError
+from graspwatch.frames import Frame
+
+MESSAGE: TypeAdapter[ServerMessage] = TypeAdapter(ServerMessage)
+
+
+async def messages(
+    url: httpx.URL, headers: Mapping[str, str], trust: ssl.SSLContext, timeout_s: float, *, with_frames: bool
+) -> AsyncGenerator[BaseModel | Frame, None]:
+    """
+    Raises:
+        ConnectionLostError: the service was ended, or the connection broke.
+        UnreachableError: nobody answers at `url`.
+        RefusedError: the service says why not.
+    """
+    hello: Hello | None = None
+    async with _connected(url, headers, trust, timeout_s) as socket:
+        try:
+            async for received in socket:
+                if isinstance(received, str):
+                    message = _message(received, url)
+                    hello = message if isinstance(message, Hello) else hello
+                    yield message
+                elif with_frames and hello:  # frames that nobody answers stop coming
+                    frame = Frame.unpack(received, hello.channels)
+                    await socket.send(FrameReceived(sequence=frame.sequence).model_dump_json())
+                    yield frame
+        except ConnectionClosed as error:
+            raise ConnectionLostError(f"The stream of {url} broke: {error}.") from error
+    raise ConnectionLostError(f"The service at {url} ended the stream.")
+
+
+@contextlib.asynccontextmanager
+async def _connected(
+    url: httpx.URL, headers: Mapping[str, str], trust: ssl.SSLContext, timeout_s: float
+) -> AsyncIterator[ClientConnection]:
+    secure = url.scheme == "https"
+    address = str(url.copy_with(scheme="wss" if secure else "ws", path="/api/live"))
+    try:
+        socket = await connect(
+            address, additional_headers=headers, ssl=trust if secure else None, max_size=None, open_timeout=timeout_s
+        )
+    except InvalidStatus as error:
+        raise refused(error.response.status_code, error.response.body or b"") from error
+    except (OSError, InvalidHandshake, TimeoutError) as error:
+        raise unreachable(url, error) from error
+    try:
+        yield socket
+    finally:
+        await socket.close()
+
+
+def _message(text: str, url: httpx.URL) -> BaseModel:
+    try:
+        message = MESSAGE.validate_json(text)
+    except ValidationError as error:
+        raise ConnectionLostError(
+            f"The service at {url} speaks another version than this client: install the same. ({error})"
+        ) from error
+    if isinstance(message, Hello) and message.schema_version != SCHEMA_VERSION:
+        raise ConnectionLostError(f"The service at {url} is Graspwatch {message.version}, which speaks otherwise.")
+    return message
