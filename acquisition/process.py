@@ -72,6 +72,10 @@ def ask_for_realtime(priority: int, stretch_us: int = MOST_AT_A_STRETCH_US) -> b
     A thread that then runs wild would take a whole core from everybody; after `stretch_us` the system ends it instead.
     """
     resource.setrlimit(resource.RLIMIT_RTTIME, (stretch_us, stretch_us))
+    return _grants(priority)
+
+
+def _grants(priority: int) -> bool:
     try:
         _schedule(os.SCHED_FIFO, priority)
     except PermissionError:
@@ -135,11 +139,7 @@ class ServingPriority:
         _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
         stretch_us = SERVING_STRETCH_US if most == resource.RLIM_INFINITY else min(SERVING_STRETCH_US, most)
         resource.setrlimit(resource.RLIMIT_RTTIME, (stretch_us, most))
-        try:
-            _schedule(os.SCHED_FIFO, SERVING_PRIORITY)
-        except PermissionError:
-            return False
-        return True
+        return _grants(SERVING_PRIORITY)
 
     def _fall_back(self, number: int, frame: FrameType | None) -> None:
         _schedule(os.SCHED_OTHER, 0)
