@@ -13,14 +13,15 @@ DASHBOARD_SOURCES := $(shell find frontend/src frontend/scripts frontend/public 
 run: $(VENV)/.installed app/static/index.html ## start with the simulated grasper and a demonstration
 	$(BIN)/graspwatch serve --demo
 
+# a live tool beside a browser, or whose reaction is measured: one at a time, on a machine that does nothing else
+ALONE := tests/browser tests/end_to_end/test_recording.py tests/end_to_end/test_service.py tests/faults/live
+
 test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/python -m compileall -q app acquisition estimator config graspwatch  # each test that starts the program starts five
-	$(BIN)/python -m pytest -m "not long" -n 2 --dist loadscope tests/acquisition tests/app tests/config tests/deploy \
-		tests/docs/test_site.py tests/estimator tests/faults --ignore tests/faults/live
-	$(BIN)/python -m pytest -m "not long" tests/browser tests/docs/test_commands.py tests/docs/test_examples.py \
-		tests/end_to_end tests/faults/live  # live tools: one at a time
+	$(BIN)/python -m pytest -m "not long" -n 2 --dist loadscope tests $(ALONE:%=--ignore %)
+	$(BIN)/python -m pytest -m "not long" $(ALONE)
 
 long: $(VENV)/.installed app/static/index.html ## the tests that `make test` leaves out, a quarter of an hour
 	$(BIN)/python -m pytest -m long tests

@@ -2,7 +2,10 @@
 
 import asyncio
 import ssl
+from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -12,6 +15,14 @@ from service import Service
 from app.people import tokens
 from app.wire import Hello, Identification, Role, RunState
 from graspwatch import ConnectionLostError, Frame, Graspwatch, RefusedError, UnreachableError
+
+Returned = TypeVar("Returned")
+
+
+def run(program: Coroutine[Any, Any, Returned]) -> Returned:
+    """In a thread, as another test's browser may keep a loop in this one."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(asyncio.run, program).result()
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +45,7 @@ def test_a_program_starts_a_run_watches_it_and_reads_its_grasps(service: Service
             assert ended.state is RunState.FINISHED
             return seen, [grasp.label for grasp in await tool.grasps(ended)]
 
-    seen, labels = asyncio.run(program())
+    seen, labels = run(program())
     assert {each.in_contact for each in seen} == {True, False}
     assert len(labels) == 3
     assert "bladder" in labels
@@ -53,7 +64,7 @@ def test_every_sample_arrives_and_a_channel_is_found_by_name_and_tissue(service:
                     return hello, frames
         raise AssertionError("the stream ended")
 
-    hello, frames = asyncio.run(program())
+    hello, frames = run(program())
     ticks = np.concatenate([frame.ticks for frame in frames])
     assert (np.diff(ticks) == 1).all()
     column = [(each.name, each.tissue) for each in hello.channels].index(("probability", "liver"))
@@ -76,7 +87,7 @@ def test_a_run_does_not_outlive_its_block(service: Service) -> None:
                 assert (await tool.finished(run, 20)).state is RunState.FINISHED
             assert (await tool.run(run.id)).state is RunState.FINISHED
 
-    asyncio.run(program())
+    run(program())
 
 
 def test_a_refusal_says_what_is_wrong_and_which_field(service: Service) -> None:
@@ -90,7 +101,7 @@ def test_a_refusal_says_what_is_wrong_and_which_field(service: Service) -> None:
                 await tool.run("none")
             assert refused.value.status == 404
 
-    asyncio.run(program())
+    run(program())
 
 
 def test_a_recording_is_saved_once_and_never_over_another(service: Service, tmp_path: Path) -> None:
@@ -107,7 +118,7 @@ def test_a_recording_is_saved_once_and_never_over_another(service: Service, tmp_
                 await tool.download("none.mcap", tmp_path)
             assert [each.name for each in tmp_path.iterdir()] == [path.name]
 
-    asyncio.run(program())
+    run(program())
 
 
 def test_nobody_at_the_address_is_told() -> None:
@@ -119,7 +130,7 @@ def test_nobody_at_the_address_is_told() -> None:
                 async for _ in tool.live():
                     pass
 
-    asyncio.run(program())
+    run(program())
 
 
 def test_the_end_of_the_service_ends_the_stream_with_an_error() -> None:
@@ -131,7 +142,7 @@ def test_the_end_of_the_service_ends_the_stream_with_an_error() -> None:
                         await asyncio.to_thread(running.end)
 
     with Service("serve") as running:
-        asyncio.run(program(running))
+        run(program(running))
 
 
 def test_with_tokens_and_tls_a_program_is_somebody(tmp_path: Path) -> None:
@@ -158,4 +169,4 @@ def test_with_tokens_and_tls_a_program_is_somebody(tmp_path: Path) -> None:
                 await distrustful.health()
 
     with Service("serve", "--tls-cert", str(cert), "--tls-key", str(key), data=tmp_path, trust=trust) as running:
-        asyncio.run(program(running))
+        run(program(running))
