@@ -59,6 +59,7 @@ class Recorder:
         self._last_sequence = 0  # of the block written last
         self._blocks: deque[SampleBlock] = deque()
         self._estimates: deque[Estimated] = deque()
+        self._early: deque[Estimated] = deque()  # those of blocks that are still to come
         self._brief: Brief | None = None
         self._told: list[tuple[str, bytes, int]] = []  # since then, until the run begins
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
@@ -92,15 +93,23 @@ class Recorder:
             if self.file and (self._until is None or tick < self._until):
                 self.file.add_samples(block)
                 self._last_sequence = block.sequence
+                while self._early and self._early[0].sequence <= block.sequence:
+                    self._add(self._early.popleft())
         finally:
             self._keep(block)
         self._flush_in_time()
 
     def take_estimates(self, estimated: Estimated) -> None:
-        """The estimates of a block that came before."""
+        """The estimates of a block, which mostly came before; where much waits, the two come in any order."""
         self._estimates.append(estimated)
         if self.file and estimated.sequence <= self._last_sequence:
-            self.file.add_estimates(estimated.estimates, estimated.sequence, estimated.published_ns)
+            self._add(estimated)
+        elif self.file:
+            self._early.append(estimated)
+
+    def _add(self, estimated: Estimated) -> None:
+        assert self.file is not None
+        self.file.add_estimates(estimated.estimates, estimated.sequence, estimated.published_ns)
 
     def tell(self, topic: str, content: bytes) -> None:
         """A message of `app/record/topics.py`."""
@@ -115,6 +124,7 @@ class Recorder:
         if self.file is None:
             return
         file, self.file, self._until = self.file, None, None
+        self._early.clear()
         self.finished.append(file.path)
         try:
             file.close(why=why) if why else file.close()
@@ -161,7 +171,7 @@ class Recorder:
             self.file.tell(*told)
         self._told = []
         for estimated in self._estimates:
-            self.file.add_estimates(estimated.estimates, estimated.sequence, estimated.published_ns)
+            self._add(estimated)
 
     def _free_name(self, run_id: str) -> Path:
         """A run whose file exists was cut off by this recorder's predecessor: it goes on in the next one."""

@@ -1,0 +1,52 @@
+"""The recorder, given what the bus carries in any order that a busy machine may bring."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acquisition.blocks import SAMPLE, SampleBlock
+from app.record.reading import read_run
+from app.record.recorder import Brief, Estimated, Recorder
+from app.record.run_file import Rig
+from config.load import load_library, load_protocol, load_settings, load_tool
+from estimator.blocks import estimate_dtype
+
+PROTOCOL = load_protocol("trapezoid_4hz")
+RIG = Rig(load_tool("simulated"), load_library("porcine"), load_settings())
+BLOCK, BEFORE, RUN, AFTER = 5, 40, 60, 300  # blocks; recording ends with the second after the run, and a grace
+TISSUES = len(RIG.library.tissues)
+
+
+def block(number: int) -> SampleBlock:
+    samples = np.zeros(BLOCK, SAMPLE)
+    samples["tick"] = np.arange(BLOCK) + (number - 1) * BLOCK
+    run = "20261128-120000-001" if BEFORE < number <= BEFORE + RUN else ""
+    return SampleBlock(number, number * BLOCK * 1_000_000, 0, samples, run)
+
+
+def estimated(number: int) -> Estimated:
+    estimates = np.zeros(BLOCK, estimate_dtype(TISSUES))
+    estimates["tick"] = block(number).samples["tick"]
+    estimates["threshold_n"] = number
+    return Estimated(number, number * BLOCK * 1_000_000, estimates)
+
+
+@settings(max_examples=25, deadline=None)
+@given(leads=st.lists(st.integers(-20, 20), min_size=1, max_size=40))
+def test_no_estimate_is_lost_whichever_comes_first(leads: list[int]) -> None:
+    """`leads`: by how many blocks the estimates are ahead of the samples, or behind them, in turn."""
+    with tempfile.TemporaryDirectory() as folder:
+        recorder = Recorder(Path(folder), RIG)
+        recorder.brief(Brief("20261128-120000-001", PROTOCOL.model_dump_json(), 1, "liver", None))
+        last, told = BEFORE + RUN + AFTER, 0
+        for number in range(1, last + 1):
+            while told < min(number + leads[number % len(leads)], last):
+                told += 1
+                recorder.take_estimates(estimated(told))
+            recorder.take_samples(block(number))
+        assert recorder.file is None
+        kept = read_run(Path(folder) / "20261128-120000-001.mcap")
+    np.testing.assert_array_equal(kept.estimates["threshold_n"], 1 + kept.samples["tick"] // BLOCK)
