@@ -237,12 +237,11 @@ def index(
     Example: graspwatch index --rebuild --data graspwatch-data
     """
     from app.store import command
-    from app.store.database import index_url
+    from app.store.database import index_url_of
 
     settings = load_settings(config)
     folder = data_folder(data, settings)
-    setting = settings.index_url.get_secret_value() if settings.index_url else None
-    url = index_url(setting, folder)
+    url = index_url_of(settings, folder)
     if not anew:
         command.show(url, folder, as_json)
         return
@@ -276,7 +275,9 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
         address, bound = listener.getsockname()[:2]
         stream_port = None if plan.opened else plan.settings.foxglove.port
         if stream_port:
-            listen("127.0.0.1", stream_port).close()  # to say it now if the port is taken
+            from app.foxglove import HOST
+
+            listen(HOST, stream_port).close()  # to say it now if the port is taken
         warning = check_bind(address, plan.data, server.tls_cert is not None)
         application = create_app(plan)
         unless_served.pop_all()

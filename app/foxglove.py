@@ -18,7 +18,7 @@ from acquisition.recordings.rows import RowLayout
 from app.record.topics import TOPICS, schema_of
 from config.schema import TissueLibrary
 from estimator.blocks import estimate_dtype
-from estimator.recorded import estimate_columns, estimate_layout
+from estimator.recorded import estimate_columns, row_layouts
 
 HOST = "127.0.0.1"
 POLL_MS = 100
@@ -74,13 +74,7 @@ class Stage:
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._anchor = (0, time.time_ns())  # a tick and its time, ns since 1970
         self._sequence = bus.SequenceCounter()
-        self._rows = {
-            topic: _Rows(topic, rows)
-            for topic, rows in (
-                (layout.RAW, layout.RAW_ROWS), (layout.CONDITIONED, layout.CONDITIONED_ROWS),
-                (layout.ESTIMATES, estimate_layout(self._tissues)),
-            )
-        }  # fmt: skip
+        self._rows = {topic: _Rows(topic, rows) for topic, rows in row_layouts(self._tissues).items()}
         self._told = {
             topic: foxglove.Channel(topic, schema=json.loads(schema_of(model)), message_encoding="json")
             for topic, model in TOPICS.items()
@@ -115,7 +109,7 @@ class _Rows:
     """A topic of rows, as in a recording."""
 
     def __init__(self, topic: str, rows: RowLayout) -> None:
-        schema = foxglove.Schema(name=f"graspwatch.{rows.name}", encoding="protobuf", data=rows.descriptor_set)
+        schema = foxglove.Schema(name=rows.schema_name, encoding="protobuf", data=rows.descriptor_set)
         self._rows, self._channel = rows, foxglove.Channel(topic, schema=schema, message_encoding="protobuf")
 
     @property

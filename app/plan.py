@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sqlalchemy import URL
 
-from app.store.database import index_url
+from app.store.database import index_url_of
 from config.schema import Settings, TissueLibrary, Tool
 
 
@@ -36,8 +36,7 @@ class ServicePlan:
         Raises:
             ConfigurationError: the setting is no address of a database.
         """
-        setting = self.settings.index_url
-        return index_url(setting.get_secret_value() if setting else None, self.data)
+        return index_url_of(self.settings, self.data)
 
     @property
     def recordings_folder(self) -> Path:

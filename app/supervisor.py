@@ -18,7 +18,6 @@ from acquisition import worker as acquisition_worker
 from acquisition.bus import Endpoints
 from acquisition.nidaq import reset_device
 from acquisition.process import start_child
-from app import foxglove as foxglove_worker
 from app.plan import ServicePlan
 from app.record import worker as recorder_worker
 from app.record.run_file import Rig
@@ -89,6 +88,8 @@ class Supervisor:
             setup = guard.Setup(os.getpid(), self.endpoints, plan.tool, plan.settings.realtime)
             self.workers["guard"] = Worker("guard", guard.main, setup)
         if plan.settings.foxglove.port:
+            from app import foxglove as foxglove_worker  # with its library, only where it is asked for
+
             setup = foxglove_worker.Setup(
                 os.getpid(), self.endpoints, plan.settings.foxglove.port, plan.tool.title, plan.library,
                 plan.tool.board.sample_rate_hz,

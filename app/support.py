@@ -100,12 +100,11 @@ def _local(settings: Settings, tool: str | None, data: Path) -> dict[str, str]:
 
 
 def _index(settings: Settings, data: Path) -> dict[str, Any]:
-    from app.store.database import index_url
+    from app.store.database import index_url_of
     from app.store.rebuild import READERS
     from app.store.status import status
 
-    setting = settings.index_url.get_secret_value() if settings.index_url else None
-    return asdict(status(index_url(setting, data), data, READERS))
+    return asdict(status(index_url_of(settings, data), data, READERS))
 
 
 def _about() -> dict[str, Any]:

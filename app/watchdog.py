@@ -9,7 +9,6 @@ from app.wire import Priority
 
 SILENCE_S = 0.4
 HUNG_S = 2.0  # a worker silent for longer is killed and replaced
-SAYER_SILENCE_S = 0.4
 RECORDER_HUNG_S = 10.0  # a disk may take its time
 GUARD_HUNG_S = 2.0
 
@@ -79,7 +78,7 @@ class Watchdog:
         heard_s = self._heard_s[name]
         if not heard_s or self._supervisor.workers[name].condition is not Condition.RUNNING:
             return
-        if now - heard_s < SAYER_SILENCE_S:
+        if now - heard_s < SILENCE_S:
             self._alarms.end(name)
             return
         self._alarms.raise_technical(name, Priority.MEDIUM, f"The {name} does not answer: {lacking}")

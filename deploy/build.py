@@ -32,7 +32,7 @@ class Root:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._here = folder
-        self.variables = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+        self._variables = {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
 
     def _place(self, path: str) -> Path:
         return self._folder / path.lstrip("/") if path.startswith("/") else self._here / path
@@ -44,7 +44,7 @@ class Root:
                 self._here.mkdir(parents=True, exist_ok=True)
             case "ENV":
                 for name, value in (each.split("=", 1) for each in shlex.split(rest)):
-                    self.variables[name] = self._below(value).replace("$PATH", self.variables["PATH"])
+                    self._variables[name] = self._below(value).replace("$PATH", self._variables["PATH"])
             case "COPY":
                 self._copy(shlex.split(rest))
             case "RUN":
@@ -70,10 +70,10 @@ class Root:
 
     def _run(self, command: str) -> None:
         command = re.sub(r"^useradd .*? && ", "", command).replace("install -d -o graspwatch", "mkdir -p")
-        subprocess.run(["sh", "-ec", command], cwd=self._here, env={**os.environ, **self.variables}, check=True)
+        subprocess.run(["sh", "-ec", command], cwd=self._here, env={**os.environ, **self._variables}, check=True)
 
 
-def build(folder: Path) -> Root:
+def build(folder: Path) -> None:
     """
     Raises:
         CalledProcessError: a step failed.
@@ -82,7 +82,6 @@ def build(folder: Path) -> Root:
     for instruction, rest in steps(CHECKOUT / "Dockerfile"):
         print(f"{instruction} {rest}", file=sys.stderr, flush=True)
         root.carry_out(instruction, rest)
-    return root
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from acquisition.recordings import layout
 from acquisition.recordings.rows import Column, RowLayout
 from estimator.blocks import estimate_dtype
 
@@ -18,6 +19,14 @@ def estimate_layout(tissues: list[str]) -> RowLayout:
             if name not in common:
                 columns += [Column(each, group=tissue) for each in OF_THREE.get(name, (name,))]
     return RowLayout("Estimates", columns)
+
+
+def row_layouts(tissues: list[str]) -> dict[str, RowLayout]:
+    """By topic, all rows of a recording made with a library of these tissues."""
+    return {
+        layout.RAW: layout.RAW_ROWS, layout.CONDITIONED: layout.CONDITIONED_ROWS,
+        layout.ESTIMATES: estimate_layout(tissues),
+    }  # fmt: skip
 
 
 def estimate_columns(estimates: np.ndarray, tissues: list[str]) -> dict[str, np.ndarray]:

@@ -69,6 +69,10 @@ class RowLayout:
         return layout
 
     @property
+    def schema_name(self) -> str:
+        return f"{PACKAGE}.{self.name}"
+
+    @property
     def row_bytes(self) -> int:
         return self._dtype.itemsize
 

@@ -58,12 +58,11 @@ def _show(found: JournalCheck) -> None:
 
 def _index_knows(settings: Settings, folder: Path, notes: list[str]) -> list[Witness]:
     """An index that cannot be asked does not keep the chain itself from being checked."""
-    from app.store.database import index_url
+    from app.store.database import index_url_of
     from app.store.status import chained
 
-    setting = settings.index_url.get_secret_value() if settings.index_url else None
     try:
-        return [Witness("the index", *each) for each in chained(index_url(setting, folder))]
+        return [Witness("the index", *each) for each in chained(index_url_of(settings, folder))]
     except GraspwatchError as error:
         notes.append(f"the index was not asked: {str(error).rstrip('.')}")
         return []

@@ -26,7 +26,7 @@ from app import __version__
 from app.record.topics import TOPICS, schema_of
 from config.errors import RecordingError
 from config.schema import Settings, TissueLibrary, Tool
-from estimator.recorded import estimate_columns, estimate_layout
+from estimator.recorded import estimate_columns, row_layouts
 
 CHUNK_BYTES = 4 * 2**20  # never reached: a chunk ends with each flush
 FLUSH_S = 0.25
@@ -118,11 +118,8 @@ class RunFile:
         now_ns = time.time_ns()
         for name, data in {**rig.attachments(), **attachments}.items():
             self._writer.add_attachment(now_ns, now_ns, name, "application/json", data)
-        kinds = {
-            layout.RAW: layout.RAW_ROWS, layout.CONDITIONED: layout.CONDITIONED_ROWS,
-            layout.ESTIMATES: estimate_layout(self._tissues),
-        }  # fmt: skip
-        self._pending = {topic: _Pending(rows, self._declare(topic, rows)) for topic, rows in kinds.items()}
+        kinds = row_layouts(self._tissues).items()
+        self._pending = {topic: _Pending(rows, self._declare(topic, rows)) for topic, rows in kinds}
         self._told = {
             topic: self._writer.register_channel(
                 topic, "json", self._writer.register_schema(model.__name__, "jsonschema", schema_of(model))
@@ -143,7 +140,7 @@ class RunFile:
         }  # fmt: skip
 
     def _declare(self, topic: str, rows: RowLayout) -> int:
-        schema = self._writer.register_schema(f"graspwatch.{rows.name}", "protobuf", rows.descriptor_set)
+        schema = self._writer.register_schema(rows.schema_name, "protobuf", rows.descriptor_set)
         return self._writer.register_channel(topic, "protobuf", schema)
 
     def add_samples(self, block: SampleBlock) -> None:

@@ -16,6 +16,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError
 from app.store.faults import REBUILD, explain, shown
 from app.store.tables import Table
 from config.errors import ConfigurationError, ServiceError
+from config.schema import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 REVISION_TABLE = "graspwatch_revision"  # of our own: a PostgreSQL database may have other programs' tables
@@ -49,6 +50,11 @@ def index_url(setting: str | None, data: Path) -> URL:
         case "sqlite" if url.database and url.database != ":memory:" and not url.query:
             return url.set(database=os.path.abspath(url.database))
     raise ConfigurationError(f"index_url: {url.drivername!r} does not do as an index. {advice}")
+
+
+def index_url_of(settings: Settings, data: Path) -> URL:
+    """Where the index of this data folder is; raises as `index_url` does."""
+    return index_url(settings.index_url.get_secret_value() if settings.index_url else None, data)
 
 
 def engine_of(url: URL) -> Engine:

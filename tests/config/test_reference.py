@@ -1,29 +1,21 @@
 """The reference: as the code is now. Of the tool file: every field explained, and true of the shipped files."""
 
-import importlib.util
 import json
 import tomllib
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import jsonschema
 import pytest
+from scripts import load
 
 from config.load import CONFIG_DIR
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def module(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    return loaded
-
-
 def generated() -> dict[str, str]:
-    return module("reference").written()
+    return load(DOCS / "reference.py").written()
 
 
 @pytest.mark.parametrize("name", ["tool-file.md", "tool.schema.json"])
@@ -32,7 +24,7 @@ def test_it_is_as_the_classes_are(name: str) -> None:
 
 
 def test_the_service_is_as_its_reference_says() -> None:
-    renewed = module("reference_service").written()
+    renewed = load(DOCS / "reference_service.py").written()
     assert {name: (DOCS / name).read_text(encoding="utf-8") for name in renewed} == renewed, "run: make reference"
 
 

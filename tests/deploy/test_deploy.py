@@ -9,23 +9,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import httpx
 import pytest
 import yaml
+from scripts import load
 from service import until
 
 CHECKOUT = Path(__file__).parents[2]
 DEPLOY = CHECKOUT / "deploy"
 SMALL_PATH = "/usr/sbin:/sbin"  # neither Node nor a compiler nor Python
-
-
-def module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    return loaded
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +98,7 @@ def test_the_dockerfile_has_no_fault_that_hadolint_knows() -> None:
 
 
 def test_each_stage_copies_only_what_there_is() -> None:
-    for instruction, rest in module(DEPLOY / "build.py").steps(CHECKOUT / "Dockerfile"):
+    for instruction, rest in load(DEPLOY / "build.py").steps(CHECKOUT / "Dockerfile"):
         if instruction == "COPY" and "--from=" not in rest:
             assert all((CHECKOUT / source).exists() for source in rest.split()[:-1]), rest
 
