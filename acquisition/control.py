@@ -115,6 +115,20 @@ class Acquisition:
         """Motor to zero at once, whatever else is the case; returns whether a run was ended by it."""
         return self._end_run(Event.STOP, RunEnd.STOPPED, why)
 
+    def interrupt(self, why: str) -> None:
+        """End a run, as failed, whose samples nobody judged for a while; without a run nothing has happened."""
+        if self.safety in IN_RUN:
+            self._fault(why)
+
+    def begin_anew(self, why: str) -> None:
+        """Go on with a board that had to be opened again: a run has failed, and the tool has to be armed again."""
+        self._command_v = 0.0
+        self.interrupt(why)
+        self.disarm()
+        if self.safety is Safety.DISARMED:
+            self.why = why
+        self._tare_anew()
+
     def _fault(self, why: str) -> None:
         self._end_run(Event.FAULT, RunEnd.FAILED, why)
         self.why = why

@@ -25,7 +25,7 @@ SILENT_LOOKS = 6
 SAYS_EVERY_S = 0.1
 AGAIN_LOOKS = 5  # after a reset that failed
 STRETCH_US = 100_000
-"""It only waits: one that computes for so long runs wild, and an alarm is due within half a second."""
+"""The guard only waits: if it computes for so long, it runs wild, and an alarm is due within half a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +51,7 @@ def main(setup: Setup) -> None:
         while in_run or not stop.set:
             if time.monotonic() - said_s > SAYS_EVERY_S:
                 said_s = time.monotonic()
+                granted.priority.renew()
                 publisher.send_multipart(bus.pack_notice("guarding", realtime=str(granted)))
             if blocks.poll(LOOKS_EVERY_MS):
                 parts = blocks.recv_multipart()

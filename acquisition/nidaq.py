@@ -50,8 +50,8 @@ _ADVICE = {
 class NidaqTool:
     """A `Source` on one NI board: hardware-clocked inputs, encoder on the same clock, on-demand motor command.
 
-    Samples are never bridged over: a late, short or failed read leaves the motor at zero and ends the tool, which then
-    has to be opened again. So `lost_samples` of its blocks is always 0.
+    Samples are never bridged over: a late, short or failed read leaves the motor at zero and closes the board, which
+    then has to be opened again. Only the first block after `reopen` has `lost_samples`.
     """
 
     def __init__(
@@ -69,7 +69,8 @@ class NidaqTool:
         self._clock = clock
         self._tasks: list[nidaqmx.Task] = []
         self._motor: AnalogSingleChannelWriter | None = None
-        self._next_tick = 0
+        self._next_tick = self._lost_samples = 0
+        self._read_ns = 0
         self._block_samples = tool.board.block_samples
         self._timeout_s = self._block_samples / tool.board.sample_rate_hz + PATIENCE_S
         self._analog_v = np.empty((4, self._block_samples))
@@ -101,6 +102,18 @@ class NidaqTool:
         if not self._close():
             raise ToolError(_switch_off(self._tool))
 
+    def reopen(self) -> None:
+        """Open a board that gave up while this process was held up; ticks go on as if its clock had never stopped.
+
+        Raises:
+            ToolError: as on entering.
+        """
+        next_tick = self._next_tick
+        self._close()
+        self.__enter__()
+        self._lost_samples = round((self._clock() - self._read_ns) * 1e-9 * self._tool.board.sample_rate_hz)
+        self._next_tick = next_tick + self._lost_samples
+
     def read_block(self) -> RawBlock:
         """The next `block_samples` samples.
 
@@ -120,16 +133,18 @@ class NidaqTool:
         if min(got_v, got_deg) < n:
             raise self._fail(DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, min(got_v, got_deg)))
         analog_v = self._analog_v.copy()
+        self._read_ns = self._clock()
         block = RawBlock(
             first_tick=self._next_tick,
-            t_mono_ns=self._clock(),
+            t_mono_ns=self._read_ns,
             strain_v=analog_v[0],
             encoder_deg=self._encoder_deg.copy(),
             motor_command_v=analog_v[1],
             touch_1_v=analog_v[2],
             touch_2_v=analog_v[3],
+            lost_samples=self._lost_samples,
         )
-        self._next_tick += n
+        self._next_tick, self._lost_samples = self._next_tick + n, 0
         return block
 
     def write_command(self, command_v: float) -> None:

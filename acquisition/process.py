@@ -19,11 +19,13 @@ PR_SET_NAME = 15
 MCL_CURRENT, MCL_FUTURE = 1, 2
 MORE_MEMORY_BYTES = 512 << 20
 """Than a worker has once it is ready: one that wants more ends, and not the machine's others with it."""
-MOST_AT_A_STRETCH_US = 300_000
-"""Of a core, at real-time priority, without waiting for anything: a block takes 400, those of a second 80,000."""
+WORKER_STRETCH_US = 300_000
+"""Time a worker may compute at real-time priority without a pause; a block takes 400 us, those of a second 80,000."""
 SERVING_PRIORITY = 10
-"""Of the server, through which STOP passes, and of the recorder: below all that reads, estimates or guards."""
+"""Priority of the server, which carries STOP, and of the recorder: below everything that reads, estimates or guards."""
 SERVING_STRETCH_US = 1_000_000
+LAST_RESORT_S = 5
+"""The kernel ends a worker that computes for so long at real-time priority inside one call of a library."""
 GRANTED_WORDS = {True: "granted", False: "refused", None: "not asked for"}
 
 
@@ -66,28 +68,65 @@ def calm_garbage_collector() -> None:
     gc.disable()
 
 
-def ask_for_realtime(priority: int, stretch_us: int = MOST_AT_A_STRETCH_US) -> bool:
-    """SCHED_FIFO for every thread, those of ZeroMQ included, if the system grants it; says whether it did.
+class RealtimePriority:
+    """Real-time priority (SCHED_FIFO) of every thread of this process, lowered while it computes without a pause.
 
-    A thread that then runs wild would take a whole core from everybody; after `stretch_us` the system ends it instead.
+    A real-time thread that computes without end takes a core from all other programs. After `stretch_us` of it the
+    kernel signals SIGXCPU, and the process falls back to the usual priority instead of being ended: it may have a
+    backlog to work through. `renew` takes the priority again; the kernel grants it for good once the process has
+    waited for something.
     """
-    resource.setrlimit(resource.RLIMIT_RTTIME, (stretch_us, stretch_us))
-    return _grants(priority)
 
+    def __init__(self, wanted: bool, priority: int, stretch_us: int, last_resort_s: int | None = LAST_RESORT_S) -> None:
+        """Take the priority at once if it is wanted and the system grants it. Call in the main thread.
 
-def _grants(priority: int) -> bool:
-    try:
-        _schedule(os.SCHED_FIFO, priority)
-    except PermissionError:
-        return False
-    return True
+        After `last_resort_s` at a stretch, inside a single call that never returns to Python, the kernel ends the
+        process (SIGKILL); None: never.
+        """
+        self._priority, self._stretch_us = priority, stretch_us
+        self._last_resort_us = resource.RLIM_INFINITY if last_resort_s is None else last_resort_s * 1_000_000
+        self.granted: bool | None = None
+        self.times_lowered, self._is_lowered = 0, False
+        if wanted:
+            signal.signal(signal.SIGXCPU, self._lower)
+            self.granted = self._take()
+
+    def __str__(self) -> str:
+        lowered = f", lowered {self.times_lowered} times" if self.times_lowered else ""
+        return f"priority {GRANTED_WORDS[self.granted]}{lowered}"
+
+    def renew(self) -> None:
+        """Take the priority again if it was lowered. Call about once a second from the process's main loop."""
+        if self._is_lowered:
+            self._is_lowered = False
+            self._take()
+
+    def give_back(self) -> None:
+        """Return to the usual priority."""
+        if self.granted:
+            _schedule(os.SCHED_OTHER, 0)
+
+    def _take(self) -> bool:
+        _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
+        most = self._last_resort_us if most == resource.RLIM_INFINITY else most  # a lower bound of the system's stays
+        soft = self._stretch_us if most == resource.RLIM_INFINITY else min(self._stretch_us, most)
+        resource.setrlimit(resource.RLIMIT_RTTIME, (soft, most))
+        try:
+            _schedule(os.SCHED_FIFO, self._priority)
+        except PermissionError:
+            return False
+        return True
+
+    def _lower(self, number: int, frame: FrameType | None) -> None:
+        self.times_lowered, self._is_lowered = self.times_lowered + 1, True
+        _schedule(os.SCHED_OTHER, 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """What the system gave a worker of what its settings ask for; None: not asked for."""
+    """What the system granted a worker of `[realtime]`; None: not asked for."""
 
-    priority: bool | None
+    priority: RealtimePriority
     memory: bool | None
     core: int | None
     garbage: bool
@@ -95,54 +134,58 @@ class Granted:
     def __str__(self) -> str:
         core = "any core" if self.core is None else f"core {self.core}" if self.core >= 0 else "its core refused"
         garbage = "frozen" if self.garbage else "collected"
-        priority, memory = GRANTED_WORDS[self.priority], GRANTED_WORDS[self.memory]
-        return f"priority {priority}, memory lock {memory}, {core}, garbage {garbage}"
+        return f"{self.priority}, memory lock {GRANTED_WORDS[self.memory]}, {core}, garbage {garbage}"
 
 
-def take_realtime(wanted: Realtime, priority: int, place: int, stretch_us: int = MOST_AT_A_STRETCH_US) -> Granted:
-    """Bound its memory and ask for what the settings want, once everything is ready; `place` chooses of the cores."""
+def take_realtime(wanted: Realtime, priority: int, place: int, stretch_us: int = WORKER_STRETCH_US) -> Granted:
+    """Bound the memory of this process and ask for what the settings want; `place` is an index into their cores.
+
+    Call in the main thread, once everything is loaded.
+    """
     bound_memory()
     if wanted.freeze_garbage:
         calm_garbage_collector()
     return Granted(
-        priority=ask_for_realtime(priority, stretch_us) if wanted.priority else None,
+        priority=RealtimePriority(wanted.priority, priority, stretch_us),
         memory=_lock_memory() if wanted.lock_memory else None,
         core=_stay_on(wanted.cores[place % len(wanted.cores)]) if wanted.cores else None,
         garbage=wanted.freeze_garbage,
     )
 
 
-class ServingPriority:
-    """Real-time priority for what serves people and disks: before other programs, whatever session they belong to.
+def serving_priority(wanted: bool) -> RealtimePriority:
+    """Take real-time priority for a process that serves people and disks: before other programs of any session.
 
     Between sessions Linux shares each core evenly, however little one of them asks for (autogroups, sched(7)): beside a
-    busy browser a server waited 0.5 s for its turn. Unlike a worker's, a thread that computes for a second at a stretch
-    is not ended: the whole process falls back to the usual priority, until `keep` is called.
+    busy browser a server waited 0.5 s for its turn.
     """
+    return RealtimePriority(wanted, SERVING_PRIORITY, SERVING_STRETCH_US, last_resort_s=None)
 
-    def __init__(self, wanted: bool) -> None:
-        """In the main thread. Takes it at once where it is wanted and the system grants it."""
-        self.granted: bool | None = None
-        if wanted:
-            signal.signal(signal.SIGXCPU, self._fall_back)
-            self.granted = self._take()
 
-    def __str__(self) -> str:
-        return f"priority {GRANTED_WORDS[self.granted]}"
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """What a process does, as proc(5) shows it: the state of its main thread, and the processor time of all, ticks."""
 
-    def keep(self) -> None:
-        """Once a second: whoever comes here does not compute without end."""
-        if self.granted:
-            self._take()
+    state: str
+    processor_ticks: int
 
-    def _take(self) -> bool:
-        _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
-        stretch_us = SERVING_STRETCH_US if most == resource.RLIM_INFINITY else min(SERVING_STRETCH_US, most)
-        resource.setrlimit(resource.RLIMIT_RTTIME, (stretch_us, most))
-        return _grants(SERVING_PRIORITY)
+    @property
+    def is_suspended(self) -> bool:
+        """Stopped by a signal or a debugger, or waiting for a disk or a swapped page."""
+        return self.state in "TtD"
 
-    def _fall_back(self, number: int, frame: FrameType | None) -> None:
-        _schedule(os.SCHED_OTHER, 0)
+    @property
+    def is_runnable(self) -> bool:
+        return self.state == "R"
+
+
+def activity_of(pid: int) -> Activity:
+    """Read the activity of a process; one that does not exist is in state X, dead."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return Activity("X", 0)
+    return Activity(fields[0], int(fields[11]) + int(fields[12]))
 
 
 def start_child(process: BaseProcess) -> None:
@@ -171,12 +214,12 @@ def _stay_on(core: int) -> int:
 
 @contextlib.contextmanager
 def at_realtime(priority: int) -> Iterator[None]:
-    """Meanwhile only, for a program that does other things as well."""
-    ask_for_realtime(priority)
+    """Take real-time priority for the duration of the block. Enter it in the main thread."""
+    taken = RealtimePriority(True, priority, WORKER_STRETCH_US)
     try:
         yield
     finally:
-        _schedule(os.SCHED_OTHER, 0)
+        taken.give_back()
 
 
 def _schedule(policy: int, priority: int) -> None:

@@ -1,21 +1,27 @@
 """The acquisition worker: a process that owns the tool, conditions its samples and commands its motor."""
 
+import time
 from dataclasses import asdict, dataclass
 from multiprocessing.synchronize import Event
 
 import zmq
 
 from acquisition import bus
+from acquisition.blocks import SampleBlock
 from acquisition.control import Acquisition, let_go_text
 from acquisition.limiter import HoldBack
+from acquisition.nidaq import NidaqTool
 from acquisition.process import StopFlag, become_worker, take_realtime
 from acquisition.safety import Safety
 from acquisition.tools import open_tool
-from config.errors import GraspwatchError, RefusedError
+from config.errors import GraspwatchError, RefusedError, ToolError
 from config.schema import Conditioning, Limiter, Protocol, Realtime, TissueLibrary, Tool
 
 REALTIME_PRIORITY = 80
 LOOKS_EVERY_S = 0.1
+RENEW_PRIORITY_S = 1.0
+STALLED_S = 0.5
+"""A turn takes 5 ms, or 20 if samples fail to come: after so long this process itself was held up."""
 MOST_COMMANDS = 20  # after one block: a stop does not queue behind what others ask for
 
 
@@ -66,9 +72,13 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
     with source:
         granted = take_realtime(setup.realtime, REALTIME_PRIORITY, place=0)
         publisher.send_multipart(bus.pack_notice("acquiring", realtime=str(granted)))
-        while not stop.set and (block := acquisition.turn()) is not None:
+        stalls, renewed_s = _Stalls(source, acquisition, publisher), time.monotonic()
+        while not stop.set and (block := stalls.turn()) is not None:
             publisher.send_multipart(bus.pack_samples(block))
             _tell_news(acquisition, publisher)
+            if time.monotonic() - renewed_s > RENEW_PRIORITY_S:
+                granted.priority.renew()
+                renewed_s = time.monotonic()
             if limits.poll(0):
                 limit = bus.unpack_limit(limits.recv())
                 acquisition.allow(limit.threshold_n, limit.tick)
@@ -84,6 +94,47 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
                 commands.send(bus.pack_answer(answer))
         acquisition.stop("the service was ended")
         _tell_news(acquisition, publisher)
+
+
+class _Stalls:
+    """Takes turns, and notices when this process was held up: stopped, swapped out or suspended with the machine.
+
+    A run cannot go on after a stall, since nobody judged its force. Samples that the board kept meanwhile (10 s) are
+    read and published late; past that the board is opened again, and the samples in between are counted as lost.
+    """
+
+    def __init__(self, source: NidaqTool, acquisition: Acquisition, publisher: zmq.Socket) -> None:
+        self._source, self._acquisition, self._publisher = source, acquisition, publisher
+        self._turned_s = time.monotonic()
+
+    def turn(self) -> SampleBlock | None:
+        """The next block.
+
+        Raises:
+            ToolError: the board failed, and not because of a stall.
+        """
+        try:
+            block = self._acquisition.turn()
+        except ToolError:
+            if not (stalled := self._stalled()):
+                raise
+            self._source.reopen()
+            why = f"{stalled}; the board had to be opened again: arm the tool again"
+            self._acquisition.begin_anew(why)
+            self._tell(why)
+            return self.turn()
+        if stalled := self._stalled():
+            self._acquisition.interrupt(stalled)
+            self._tell(stalled)
+        return block
+
+    def _stalled(self) -> str | None:
+        before_s, self._turned_s = self._turned_s, time.monotonic()
+        stalled_s = self._turned_s - before_s
+        return f"The acquisition was held up for {stalled_s:.1f} s" if stalled_s > STALLED_S else None
+
+    def _tell(self, text: str) -> None:
+        self._publisher.send_multipart(bus.pack_notice("stalled", text=text))
 
 
 def _tell_news(acquisition: Acquisition, publisher: zmq.Socket) -> None:

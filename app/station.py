@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from acquisition import bus
 from acquisition.blocks import SampleBlock
-from acquisition.process import ServingPriority
+from acquisition.process import serving_priority
 from acquisition.safety import Safety
 from app.alarms import AlarmBook
 from app.arming import Arming
@@ -134,7 +134,7 @@ class Station:
         self.supervisor.start_estimator()
         self.supervisor.start_acquisition()
         self.supervisor.start_foxglove()
-        self._priority = ServingPriority(self.plan.settings.realtime.priority)
+        self._priority = serving_priority(self.plan.settings.realtime.priority)
         self.realtime["server"] = str(self._priority)
 
     def _end_runs_cut_short(self) -> None:
@@ -387,6 +387,8 @@ class Station:
             case "fault":
                 self._fault_texts[notice["worker"]] = notice["text"]
                 self.alarms.raise_technical(notice["worker"], Priority.HIGH, notice["text"])
+            case "stalled":
+                self.tell_event(notice["text"])
             case "let_go":
                 self.alarms.happened("let-go", AlarmKind.FORCE, notice["text"])
             case "run_ended":
@@ -487,7 +489,7 @@ class Station:
             self.watchdog.watch(max(time.monotonic() - asked, 0.0))
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
-                self._priority.keep()
+                self._priority.renew()
                 self._watch_disk()
                 self._watch_calibration()
                 self.control.renew(self.runs.current.by if self.runs.current else None)

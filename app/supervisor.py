@@ -3,6 +3,7 @@
 import asyncio
 import multiprocessing
 import os
+import signal
 import tempfile
 import time
 from collections import deque
@@ -17,7 +18,7 @@ from acquisition import guard
 from acquisition import worker as acquisition_worker
 from acquisition.bus import Endpoints
 from acquisition.nidaq import reset_device
-from acquisition.process import start_child
+from acquisition.process import LAST_RESORT_S, Activity, activity_of, start_child
 from app.plan import ServicePlan
 from app.record import worker as recorder_worker
 from app.record.run_file import Rig
@@ -49,6 +50,8 @@ class Worker:
     process: BaseProcess | None = None
     condition: Condition = Condition.STARTING
     has_run: bool = False
+    hung: BaseProcess | None = None
+    activity: Activity | None = None
     deaths: deque[float] = field(default_factory=lambda: deque(maxlen=RESTARTS_A_MINUTE + 1))
 
 
@@ -160,9 +163,8 @@ class Supervisor:
             await asyncio.wait({zeroing}, timeout=ZERO_FIRST_S)
         worker.condition = Condition.FAULTED if final else Condition.STARTING
         if not self._ending:
-            how = f"signal {-process.exitcode}" if process.exitcode < 0 else f"exit code {process.exitcode}"
             what = "it stays down: mend the cause and start the service again" if final else "it is being restarted"
-            self._on_death(worker.name, f"The {worker.name} worker died ({how}); {what}.")
+            self._on_death(worker.name, f"The {worker.name} worker {self._how_it_ended(worker, process)}; {what}.")
         if zeroing:
             await zeroing
         if not final and not self._ending:
@@ -188,11 +190,31 @@ class Supervisor:
         self._on_motor(None)
         return True
 
+    @staticmethod
+    def _how_it_ended(worker: Worker, process: BaseProcess) -> str:
+        if worker.hung is process:
+            return "did not answer and was ended"
+        if process.exitcode == -signal.SIGKILL:
+            return (
+                "died (signal 9: the machine ran out of memory, somebody ended it, or one call of a library computed "
+                f"for {LAST_RESORT_S} s at real-time priority)"
+            )
+        return f"died (signal {-process.exitcode})" if process.exitcode < 0 else f"died (exit code {process.exitcode})"
+
+    def is_held_up(self, name: str) -> bool:
+        """Whether something keeps a worker from running: it is stopped, waits for the disk, or gets no processor."""
+        worker = self.workers[name]
+        if not worker.process:
+            return False
+        before, worker.activity = worker.activity, activity_of(worker.process.pid)
+        return worker.activity.is_suspended or (worker.activity.is_runnable and worker.activity == before)
+
     def kill(self, name: str) -> None:
         """End a worker that does not answer any more; its death is then handled like any other."""
-        process = self.workers[name].process
-        if process and process.is_alive():
-            process.kill()
+        worker = self.workers[name]
+        if worker.process and worker.process.is_alive():
+            worker.hung = worker.process
+            worker.process.kill()
 
     async def stop(self) -> None:
         """End the workers in order; what does not end is killed."""

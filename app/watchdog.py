@@ -1,4 +1,4 @@
-"""Notices workers that fall silent: technical alarms while they are, an end to those that hang."""
+"""Notices workers that fall silent: raises technical alarms meanwhile, and ends those that hang."""
 
 import time
 from collections.abc import Callable
@@ -11,6 +11,8 @@ SILENCE_S = 0.4
 HUNG_S = 2.0  # a worker silent for longer is killed and replaced
 RECORDER_HUNG_S = 10.0  # a disk may take its time
 GUARD_HUNG_S = 2.0
+HELD_UP_MOST_S = 60.0
+"""So long a worker may be stopped or swapped out before it is replaced: the bus keeps a minute of blocks for it."""
 
 
 class Watchdog:
@@ -26,6 +28,8 @@ class Watchdog:
         self._tell_event = tell_event
         self._heard_s = {"acquisition": 0.0, "estimator": 0.0, "recorder": 0.0, "guard": 0.0}
         self._held_up_s = 0.0  # altogether
+        self._watched_s = time.monotonic()
+        self._unable_s: dict[str, float] = {}  # of the present silence: time in which the worker could not run
         self._sampling_since_s = self._estimating_since_s = 0.0
         self.sampling = False
 
@@ -34,10 +38,12 @@ class Watchdog:
 
     def heard(self, worker: str) -> None:
         self._heard_s[worker] = self._clock_s()
+        self._unable_s.pop(worker, None)
 
     def begins_to_estimate(self) -> None:
         """A new estimator: its predecessor's silence is not its own."""
         self._estimating_since_s = self._clock_s()
+        self._unable_s.pop("estimator", None)
 
     def watch(self, held_up_s: float = 0.0) -> None:
         """Raise a technical alarm while a worker is silent, and end it when it speaks again.
@@ -46,6 +52,7 @@ class Watchdog:
         """
         self._held_up_s += held_up_s
         now = self._clock_s()
+        since_last_s, self._watched_s = now - self._watched_s, now
         alive = {name: worker.condition is Condition.RUNNING for name, worker in self._supervisor.workers.items()}
         before, self.sampling = self.sampling, now - self._heard_s["acquisition"] < SILENCE_S
         if not before:
@@ -65,16 +72,15 @@ class Watchdog:
         elif estimating and alive["estimator"]:
             self._alarms.end("estimates")
             self._alarms.end("estimator")
-        self._watch_sayer("recorder", now, RECORDER_HUNG_S, "nothing is recorded")
-        self._watch_sayer("guard", now, GUARD_HUNG_S, "a hung acquisition would be noticed late")
+        self._watch_sayer("recorder", now, RECORDER_HUNG_S, since_last_s, "nothing is recorded")
+        self._watch_sayer("guard", now, GUARD_HUNG_S, since_last_s, "a hung acquisition would be noticed late")
         for name, since_s in silent_s.items():
             expected = name == "acquisition" or self.sampling
-            if alive[name] and expected and since_s > HUNG_S:
-                self._tell_event(f"The {name} worker does not answer: it is ended and replaced")
-                self._supervisor.kill(name)
+            if alive[name] and expected and since_s >= SILENCE_S:
+                self._end_if_hung(name, since_s, HUNG_S, since_last_s)
 
-    def _watch_sayer(self, name: str, now: float, hung_s: float, lacking: str) -> None:
-        """One that says by itself that it lives, whether it has anything to do or not."""
+    def _watch_sayer(self, name: str, now: float, hung_s: float, since_last_s: float, lacking: str) -> None:
+        """Watch a worker that sends a sign of life, whether it has anything to do or not."""
         heard_s = self._heard_s[name]
         if not heard_s or self._supervisor.workers[name].condition is not Condition.RUNNING:
             return
@@ -82,6 +88,13 @@ class Watchdog:
             self._alarms.end(name)
             return
         self._alarms.raise_technical(name, Priority.MEDIUM, f"The {name} does not answer: {lacking}")
-        if now - heard_s > hung_s:
+        self._end_if_hung(name, now - heard_s, hung_s, since_last_s)
+
+    def _end_if_hung(self, name: str, silent_s: float, hung_s: float, since_last_s: float) -> None:
+        """End a worker that was silent for `hung_s` although it could run; one that is held up gets a minute."""
+        unable_s = self._unable_s.get(name, 0.0)
+        if unable_s < HELD_UP_MOST_S and self._supervisor.is_held_up(name):
+            unable_s = self._unable_s[name] = unable_s + since_last_s
+        if silent_s - unable_s > hung_s:
             self._tell_event(f"The {name} worker does not answer: it is ended and replaced")
             self._supervisor.kill(name)

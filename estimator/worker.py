@@ -48,6 +48,7 @@ def main(setup: Setup) -> None:
     try:
         while not stop.set:
             if time.monotonic() - last_ready > 1.0:  # repeated: a subscriber may have come late
+                granted.priority.renew()
                 publisher.send_multipart(bus.pack_notice("estimating", realtime=str(granted)))
                 last_ready = time.monotonic()
             if not samples.poll(POLL_MS):

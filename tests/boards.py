@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from acquisition.process import ask_for_realtime, calm_garbage_collector
+from acquisition.process import RealtimePriority, calm_garbage_collector
 from acquisition.simulation.board import Output, RealClock, SimulatedBoard
 from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper
@@ -18,6 +18,7 @@ from config.load import CONFIG_DIR, load_library, load_tool
 
 HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"))  # that of a real board
 REALTIME_PRIORITY = 90  # a real board is late for nobody
+BOARD_STRETCH_US = 1_000_000
 
 
 class PeakGrasper(SimulatedGrasper):
@@ -37,7 +38,7 @@ def _serve(tissue: str, seed: int, line: Connection) -> None:
     sensors = FaultySensors(grasper, tool)
     board = SimulatedBoard(tool, sensors, RealClock())
     server, port = serve_tcp(board)
-    ask_for_realtime(REALTIME_PRIORITY)
+    RealtimePriority(True, REALTIME_PRIORITY, BOARD_STRETCH_US, last_resort_s=None)
     calm_garbage_collector()
     answers: dict[str, Callable[..., Any]] = {
         "output_v": lambda: board.output_v,

@@ -7,7 +7,7 @@ SABOTEUR = Path(__file__).parent / "faults/live/saboteur"
 """To be put into PYTHONPATH of a service."""
 SIGNALS = {
     "kill -9": signal.SIGKILL,
-    "stopped": signal.SIGSTOP,
+    "hangs": signal.SIGRTMIN + 2,
     "exception": signal.SIGUSR1,
     "memory hog": signal.SIGUSR2,
 }

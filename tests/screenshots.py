@@ -112,9 +112,11 @@ class Studio:
         with self.page() as page:
             self.run("gallbladder")
             page.wait_for_function(f"/decided/.test({IN_CONTACT})")
-            os.kill(self._service.worker("acquisition"), signal.SIGSTOP)  # replaced after two seconds
+            acquisition = self._service.worker("acquisition")
+            os.kill(acquisition, signal.SIGSTOP)
             page.wait_for_selector("#stale-banner:not([hidden])")
             shoot(page, "stale")
+            os.kill(acquisition, signal.SIGCONT)
 
     def replay(self) -> None:
         with self.page(path="/recordings/gallbladder.lvm") as page:

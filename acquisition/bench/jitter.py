@@ -72,6 +72,7 @@ def _read(
             for _ in range(blocks_in(SETTLING_S, tool)):
                 acquisition.turn()
             while blocks < most:
+                granted.priority.renew()
                 block = acquisition.turn()
                 ticks[blocks], done_ns[blocks] = block.samples["tick"][-1], time.monotonic_ns()
                 blocks += 1

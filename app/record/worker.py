@@ -10,7 +10,7 @@ import numpy as np
 import zmq
 
 from acquisition import bus
-from acquisition.process import ServingPriority, StopFlag, become_worker, bound_memory
+from acquisition.process import StopFlag, become_worker, bound_memory, serving_priority
 from app.record.mend import mend_folder
 from app.record.recorder import Brief, Estimated, Recorder, RecordingStoppedError
 from app.record.run_file import Rig
@@ -48,7 +48,7 @@ class _Work:
 
     def __init__(self, setup: Setup, publisher: zmq.Socket) -> None:
         self._setup, self._publisher = setup, publisher
-        self._priority = ServingPriority(setup.priority)
+        self._priority = serving_priority(setup.priority)
         self._recorder = Recorder(setup.folder, setup.rig)
         self._dtype = estimate_dtype(len(setup.rig.library.tissues))
         self._samples = bus.SequenceCounter()
@@ -62,7 +62,7 @@ class _Work:
             if sources.poll(POLL_MS):
                 self._attempt(lambda: self._take(sources.recv_multipart()))
             if time.monotonic() - self._said_s > SAYS_EVERY_S:
-                self._priority.keep()
+                self._priority.renew()
                 self._say()
         self._attempt(lambda: self._recorder.end("the service was ended"))
         self._say()

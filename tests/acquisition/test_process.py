@@ -1,13 +1,15 @@
-"""The priority of what serves people: taken, given up when it runs wild, taken again, and not handed on to children."""
+"""Real-time priority: taken, lowered while a process computes without a pause, taken again, not given to children."""
 
+import hashlib
 import multiprocessing
 import os
+import signal
 import time
 from multiprocessing.connection import Connection
 
 import pytest
 
-from acquisition.process import ServingPriority, start_child
+from acquisition.process import RealtimePriority, activity_of, serving_priority, start_child
 
 
 def may_take_priority() -> bool:
@@ -31,7 +33,7 @@ def tell_own(told: Connection) -> None:
 
 
 def run_wild(told: Connection) -> None:
-    priority = ServingPriority(wanted=True)
+    priority = serving_priority(wanted=True)
     told.send(os.sched_getscheduler(0))
     child = multiprocessing.get_context("spawn").Process(target=tell_own, args=(told,))
     start_child(child)
@@ -40,7 +42,7 @@ def run_wild(told: Connection) -> None:
     while os.sched_getscheduler(0) == os.SCHED_FIFO and time.monotonic() < end_s:
         pass
     told.send(os.sched_getscheduler(0))
-    priority.keep()
+    priority.renew()
     told.send(os.sched_getscheduler(0))
 
 
@@ -58,5 +60,56 @@ def test_priority_is_lost_by_computing_without_end_and_comes_back() -> None:
 
 def test_it_is_not_taken_unasked() -> None:
     before = os.sched_getscheduler(0)
-    assert str(ServingPriority(wanted=False)) == "priority not asked for"
+    assert str(serving_priority(wanted=False)) == "priority not asked for"
     assert os.sched_getscheduler(0) == before
+
+
+def work_off_a_backlog(told: Connection) -> None:
+    priority = RealtimePriority(True, 70, stretch_us=200_000)
+    end_s = time.monotonic() + 2.0
+    while time.monotonic() < end_s:
+        priority.renew()
+    told.send((priority.times_lowered, str(priority)))
+    time.sleep(0.01)
+    priority.renew()
+    told.send(os.sched_getscheduler(0))
+
+
+def test_a_worker_with_a_backlog_is_slowed_down_and_not_ended() -> None:
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=work_off_a_backlog, args=(theirs,))
+    process.start()
+    times, text = ours.recv() if ours.poll(20.0) else (0, "")
+    assert times > 1  # for as long as it does not wait for anything
+    assert text == f"priority granted, lowered {times} times"
+    assert ours.recv() == os.SCHED_FIFO
+    process.join()
+    assert process.exitcode == 0
+
+
+def never_return_from_a_library() -> None:
+    RealtimePriority(True, 10, stretch_us=200_000, last_resort_s=1)
+    hashlib.pbkdf2_hmac("sha512", b"", b"", 10**9)
+
+
+def test_a_library_that_never_returns_is_ended_in_the_last_resort() -> None:
+    process = multiprocessing.get_context("spawn").Process(target=never_return_from_a_library)
+    process.start()
+    process.join(30.0)
+    assert process.exitcode == -signal.SIGKILL
+
+
+def test_a_stopped_process_is_seen_to_be_held_up() -> None:
+    process = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60.0,))
+    process.start()
+    try:
+        os.kill(process.pid, signal.SIGSTOP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
+        assert activity_of(process.pid).is_suspended
+        os.kill(process.pid, signal.SIGCONT)
+        os.waitid(os.P_PID, process.pid, os.WCONTINUED | os.WNOWAIT)
+        assert not activity_of(process.pid).is_suspended
+    finally:
+        process.kill()
+        process.join()

@@ -24,6 +24,10 @@ class Workers:
         default_factory=lambda: {name: Named() for name in ("acquisition", "estimator", "recorder", "guard")}
     )
     killed: list[str] = field(default_factory=list)
+    held_up: set[str] = field(default_factory=set)
+
+    def is_held_up(self, name: str) -> bool:
+        return name in self.held_up
 
     def kill(self, name: str) -> None:
         self.killed.append(name)
@@ -48,6 +52,21 @@ def test_an_estimator_that_hangs_is_ended(workers: Workers) -> None:
     dog = Watchdog(workers, AlarmBook(lambda message: None), lambda text: None)
     watch_for(dog, 0.1, "acquisition", "estimator")
     watch_for(dog, 0.6, "acquisition")
+    assert "estimator" in workers.killed
+
+
+def test_a_worker_that_cannot_run_is_told_and_ended_only_after_a_minute(
+    workers: Workers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watchdog, "HELD_UP_MOST_S", 1.0)
+    alarms = AlarmBook(lambda message: None)
+    dog = Watchdog(workers, alarms, lambda text: None)
+    watch_for(dog, 0.1, "acquisition", "estimator")
+    workers.held_up.add("estimator")
+    watch_for(dog, 1.0, "acquisition")
+    assert [alarm.text for alarm in alarms.all()] == ["No estimates arrive: the tissue is not watched"]
+    assert workers.killed == []
+    watch_for(dog, 1.2, "acquisition")
     assert "estimator" in workers.killed
 
 

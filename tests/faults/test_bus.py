@@ -2,15 +2,18 @@
 
 import multiprocessing
 import os
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 import zmq
 from faulty import LIBRARY, PROTOCOL, SETTINGS, TOOL
 
 from acquisition import bus
+from acquisition.bench.jitter import load
 from acquisition.blocks import SampleBlock
 from acquisition.control import Acquisition
 from acquisition.nidaq import NidaqTool
@@ -22,6 +25,7 @@ from estimator import worker as estimator_worker
 from estimator.worker import ReceivedEstimates, unpack_estimates
 
 TISSUE = "gallbladder"
+HALF_A_MINUTE = 6_000  # blocks
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +68,31 @@ class Estimator:
             if parts[0] == bus.ESTIMATES:
                 received.append(unpack_estimates(parts, len(LIBRARY.tissues)))
         return received
+
+    @contextmanager
+    def stopped(self) -> Iterator[None]:
+        """Meanwhile, as on a machine that is paused or swaps."""
+        os.kill(self._process.pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(self._process.pid, signal.SIGCONT)
+
+    def estimate_backlog(self, blocks: list[SampleBlock]) -> tuple[int, int]:
+        """Send the blocks while the process is stopped; how many it answered afterwards, and called missing."""
+        with self.stopped():
+            for block in blocks:
+                self._publisher.send_multipart(bus.pack_samples(block))
+            time.sleep(0.2)
+        answered = missing = 0
+        until_s = time.monotonic() + 20.0
+        while time.monotonic() < until_s and answered < len(blocks):
+            parts = self._answers.recv_multipart()
+            if parts[0] == bus.ESTIMATES:
+                answered, missing = answered + 1, unpack_estimates(parts, len(LIBRARY.tissues)).missing_blocks
+                until_s = time.monotonic() + 3.0
+        assert self._process.is_alive()
+        return answered, missing
 
     def close(self) -> None:
         self._process.terminate()
@@ -120,3 +149,33 @@ def test_a_sender_that_was_restarted_is_not_taken_for_one_that_is_late(blocks, t
         again = estimator.estimate(later[1:])
     assert again[-1].missing_blocks == 0
     assert len(again) == len(first) - 1
+
+
+def repeated(blocks: list[SampleBlock], number: int) -> Iterator[SampleBlock]:
+    """So many blocks of grasps that follow each other."""
+    for i in range(number):
+        block, round_ = blocks[i % len(blocks)], i // len(blocks)
+        samples = block.samples.copy()
+        ticks = round_ * 5 * len(blocks)
+        for name in ("tick", "grasp_start_tick", "contact_tick", "wall_tick"):
+            samples[name] += np.where(samples[name] >= 0, ticks, 0).astype(samples[name].dtype)
+        samples["grasp"] += round_ * 2
+        yield SampleBlock(i + 1, block.t_mono_ns + ticks * 10**6, 0, samples, block.run, block.safety)
+
+
+@pytest.mark.parametrize("busy", [False, pytest.param(True, marks=pytest.mark.long)], ids=["alone", "busy machine"])
+def test_a_backlog_of_half_a_minute_is_worked_off_without_a_loss(blocks, tmp_path, busy):
+    backlog = list(repeated(blocks, HALF_A_MINUTE))
+    with running(tmp_path) as estimator, load(busy):
+        assert estimator.estimate_backlog(backlog) == (HALF_A_MINUTE, 0)
+
+
+@pytest.mark.long
+def test_of_a_backlog_that_is_too_long_the_newest_blocks_are_dropped_and_counted(blocks, tmp_path):
+    backlog = list(repeated(blocks, 3 * bus.MINUTE_OF_BLOCKS))
+    after = list(repeated(blocks, len(backlog) + 5))[-5:]
+    with running(tmp_path) as estimator:
+        answered, _ = estimator.estimate_backlog(backlog)
+        missing = estimator.estimate(after)[-1].missing_blocks
+    assert bus.MINUTE_OF_BLOCKS <= answered < len(backlog)
+    assert missing == len(backlog) - answered

@@ -10,7 +10,7 @@ import time
 import httpx
 import pytest
 from boards import ServedBoard
-from sabotage import SABOTEUR
+from sabotage import SABOTEUR, SIGNALS
 from service import Listener, Service, until
 from websockets.asyncio.client import connect
 
@@ -140,11 +140,11 @@ def test_a_hung_acquisition_is_brought_to_zero_even_while_the_server_is_held_up(
     os.kill(service.process.pid, signal.SIGSTOP)
     try:
         struck_ns = time.monotonic_ns()
-        os.kill(acquisition, signal.SIGSTOP)
+        os.kill(acquisition, SIGNALS["hangs"])
         took_ms = board.zero_after_ms(struck_ns)
     finally:
         os.kill(service.process.pid, signal.SIGCONT)
-    reactions.add("acquisition and server: stopped", "hold", took_ms, 100.0)
+    reactions.add("acquisition hangs, server stopped", "hold", took_ms, 100.0)
     assert took_ms <= 100.0
     assert service.finished(run["id"])["state"] == "failed"
     until(service.ready)

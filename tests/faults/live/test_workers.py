@@ -46,7 +46,7 @@ def start(service, board, what=LONG):
     return run
 
 
-@pytest.mark.parametrize("how", ["kill -9", *(long(how) for how in ("stopped", "exception", "memory hog"))])
+@pytest.mark.parametrize("how", ["kill -9", *(long(how) for how in ("hangs", "exception", "memory hog"))])
 def test_an_acquisition_that_is_lost_leaves_the_motor_at_zero_within_100_ms(service, board, how, reactions):
     with Listener(service) as listener:
         run = start(service, board)
@@ -73,7 +73,7 @@ def test_an_acquisition_that_is_lost_leaves_the_motor_at_zero_within_100_ms(serv
     ("worker", "how"),
     [
         ("estimator", "kill -9"),
-        *(long("estimator", how) for how in ("stopped", "exception", "memory hog")),
+        *(long("estimator", how) for how in ("hangs", "exception", "memory hog")),
         *(long("recorder", how) for how in SIGNALS),
         *(long("guard", how) for how in SIGNALS),
     ],
