@@ -16,6 +16,7 @@ CONFIG_DIR = Path(__file__).parent
 WAVEFORM_SHAPES = ("trapezoid", "sine", "custom")  # pydantic puts them into the place of a fault; the file does not
 
 MOST_CHARACTERS = 2**24  # a learned library has some hundred thousand
+MOST_NESTED = 50  # tables and arrays within each other; a file of ours has five
 MOST_FAULTS = 100  # told at a time
 
 M = TypeVar("M", bound=BaseModel)
@@ -96,6 +97,7 @@ def load_file(path: Path, model: type[M]) -> M:
     """
     try:
         content = tomllib.loads(_read(path))
+        _check_depth(content)
         as_json = json.dumps(content, default=str)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: there is no such file. Check the path.") from None
@@ -109,6 +111,17 @@ def load_file(path: Path, model: type[M]) -> M:
         return model.model_validate_json(as_json)
     except ValidationError as error:
         raise ConfigurationError(describe_faults(str(path), error, model)) from None
+
+
+def _check_depth(content: dict[str, Any]) -> None:
+    """Raise RecursionError where tables or arrays are nested too deep, as parsers do at a depth of their own."""
+    level: list[Any] = [content]
+    for _ in range(MOST_NESTED):
+        inside = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [value for values in inside for value in values if isinstance(value, dict | list)]
+        if not level:
+            return
+    raise RecursionError
 
 
 def _read(path: Path) -> str:
