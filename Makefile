@@ -1,27 +1,32 @@
 # Everything goes into this checkout: .venv (Python), frontend/node_modules (dashboard build), app/static (built dashboard).
-.PHONY: run test long audit sbom bench safety soak dashboard site wheel figures screenshots reference wire lock clean
+.PHONY: run test quick long audit sbom bench safety soak dashboard site wheel figures screenshots reference wire lock clean
 .DELETE_ON_ERROR:
-.NOTPARALLEL:
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 NPM := frontend/npm.sh
+QUICK := tests/config tests/acquisition tests/estimator tests/app/record tests/app/store tests/app/people/test_parts.py
 DASHBOARD_SOURCES := $(shell find frontend/src frontend/scripts frontend/public -type f ! -name wire.ts 2>/dev/null) \
 	frontend/index.html frontend/package.json frontend/vite.config.js frontend/tsconfig.json
 
-run: $(VENV)/.installed app/static/index.html ## start with the simulated grasper and a demonstration
-	$(BIN)/graspwatch serve --demo
-
-# a live tool beside a browser, or whose reaction is measured: one at a time, on a machine that does nothing else
-ALONE := tests/browser tests/end_to_end/test_recording.py tests/end_to_end/test_service.py tests/faults/live
+run: $(VENV)/bin/python ## start with the simulated grasper and a demonstration
+	@$(MAKE) --no-print-directory -j 2 $(VENV)/.running app/static/index.html
+	@echo "Starting; the very first start compiles the filters, which takes up to half a minute."
+	@$(BIN)/graspwatch serve --demo
 
 test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	$(BIN)/python -m compileall -q app acquisition estimator config graspwatch  # each test that starts the program starts five
-	$(BIN)/python -m pytest -m "not long" -n 2 --dist loadscope tests $(ALONE:%=--ignore %)
-	$(BIN)/python -m pytest -m "not long" $(ALONE)
+	@# compiled once here, not by each test that starts the program
+	$(BIN)/python -m compileall -q app acquisition estimator config graspwatch
+	$(BIN)/graspwatch run trapezoid_2hz --tissue liver --cycles 1 >/dev/null
+	$(BIN)/python -m pytest -m "not long and not alone" -n 2 --dist loadscope --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "alone and not long" -n 1
+
+quick: $(VENV)/.installed ## what needs neither a service nor a browser; for another Python: make quick PYTHON=python3.13 VENV=.venv-3.13
+	$(BIN)/python -m pytest -m "not long and not alone" -n 2 $(QUICK)
 
 long: $(VENV)/.installed app/static/index.html ## the tests that `make test` leaves out, a quarter of an hour
 	$(BIN)/python -m pytest -m long tests
@@ -75,16 +80,29 @@ lock: ## renew the locked versions (needs uv)
 clean: ## remove everything that was installed or built
 	rm -rf $(VENV) frontend/node_modules app/static build *.egg-info
 
-$(VENV)/.installed: requirements-dev.lock pyproject.toml
+# what running needs; `make run` builds the dashboard meanwhile
+$(VENV)/.running: requirements.lock pyproject.toml | $(VENV)/bin/python
+	@echo "Installing the program into $(VENV): about half a minute, longer where packages must be downloaded (300 MB)"
+	@begin=$$(date +%s); $(PIP) --no-compile -r requirements.lock && PYTHONWARNINGS=ignore $(PIP) --no-deps -e . && \
+		echo "Installing the program took $$(($$(date +%s) - begin)) s"
+	@touch $@
+
+# what tests, documentation and releases need as well
+$(VENV)/.installed: requirements-dev.lock $(VENV)/.running
+	@echo "Installing what tests need into $(VENV)"
+	@begin=$$(date +%s); $(PIP) --no-compile -r requirements-dev.lock && \
+		echo "Installing what tests need took $$(($$(date +%s) - begin)) s"
+	@touch $@
+
+$(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Graspwatch needs Python 3.11 or later; found: $$($(PYTHON) --version 2>&1). Set PYTHON=/path/to/python3."; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || \
 		{ echo "A virtual environment cannot be made. On Debian: apt install python3-venv; then repeat."; rm -rf $(VENV); exit 1; }
-	$(BIN)/pip install --quiet --disable-pip-version-check -r requirements-dev.lock
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps -e .
-	@touch $@
 
-app/static/index.html: $(VENV)/.installed $(DASHBOARD_SOURCES) frontend/package-lock.json
-	$(NPM) ci --prefix frontend --no-audit --no-fund --loglevel=error
-	$(NPM) run build --prefix frontend --silent
+app/static/index.html: $(DASHBOARD_SOURCES) frontend/package-lock.json | $(VENV)/bin/python
+	@echo "Building the dashboard: about a quarter of a minute"
+	@begin=$$(date +%s); $(NPM) ci --prefix frontend --no-audit --no-fund --loglevel=error && \
+		$(NPM) run build --prefix frontend --silent >/dev/null && \
+		echo "Building the dashboard took $$(($$(date +%s) - begin)) s"
 	@touch $@

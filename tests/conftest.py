@@ -28,7 +28,17 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     report = yield
     if report.when == "call":
         reactions_of(item).outcome(report.passed)
+        if report.failed and item.get_closest_marker("alone"):
+            load = ", ".join(f"{each:.1f}" for each in os.getloadavg())
+            text = f"load over 1, 5 and 15 minutes: {load}, on {os.cpu_count()} cores. Repeat it on a machine at rest."
+            report.sections.append(("The machine", text))
     return report
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what runs a live service and takes longest, so that no worker is left with it in the end."""
+    items.sort(key=lambda item: not hasattr(item.module, "Service"))
 
 
 def reactions_of(item: pytest.Item) -> Reactions:

@@ -28,7 +28,7 @@ class Watched:
         self.at("cycles").fill(str(cycles))
         self.at("tissue-select").select_option(tissue)
         self.at("start").click()
-        expect(self.at("run-message")).to_contain_text("Started", timeout=5_000)
+        expect(self.at("run-message")).to_contain_text("Started")
 
     def overflow(self):
         """How many pixels the page is wider than the screen."""

@@ -2,12 +2,14 @@ import os
 import shutil
 
 import pytest
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import expect, sync_playwright
 from service import Service
 from watched import Watched
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 FLAGS += ["--disable-component-update", "--disable-sync"]
+
+expect.set_options(timeout=30_000)  # a test that judges how long something takes gives its own
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ def opened(watch, service, page, **options):
     viewer = watch(service.url + EVERY_PAGE[page], **options)
     expect(viewer.page.locator("main h2").first).to_be_visible()
     if page == "replay":
-        expect(viewer.at("replay-play")).to_be_enabled(timeout=30_000)
+        expect(viewer.at("replay-play")).to_be_enabled()
     viewer.page.wait_for_timeout(700)
     return viewer
 
@@ -67,7 +67,7 @@ def test_nothing_comes_from_elsewhere_and_nothing_is_complained_about(service, w
         expect(viewer.page.locator("main h2").first).to_be_visible()
         viewer.page.wait_for_timeout(300)
     viewer.page.goto(service.url + EVERY_PAGE["replay"])
-    expect(viewer.at("replay-play")).to_be_enabled(timeout=30_000)
+    expect(viewer.at("replay-play")).to_be_enabled()
     assert viewer.complaints == []
     assert all(url.startswith((service.url, service.url.replace("http", "ws"))) for url in viewer.requests)
 
@@ -108,7 +108,7 @@ def test_recordings_are_listed_found_and_opened(service, watch):
     viewer = watch(service.url + "/recordings")
     expect(viewer.at("recordings")).to_contain_text("gallbladder.lvm")
     expect(viewer.at("recordings")).to_contain_text("broken.lvm")
-    expect(viewer.at("recordings")).to_contain_text("expected", timeout=20_000)  # why the broken one cannot be read
+    expect(viewer.at("recordings")).to_contain_text("expected")  # why the broken one cannot be read
     viewer.page.keyboard.press("/")
     viewer.page.keyboard.type("gall")
     expect(viewer.at("recordings")).not_to_contain_text("broken.lvm")
@@ -120,10 +120,10 @@ def test_a_replay_plays_pauses_seeks_and_is_marked_as_one(service, watch):
     viewer = watch(service.url + EVERY_PAGE["replay"])
     play, position = viewer.at("replay-play"), viewer.at("replay-position")
     expect(viewer.at("replay-bar")).to_contain_text("REPLAY")
-    expect(play).to_be_enabled(timeout=30_000)
+    expect(play).to_be_enabled()
     if play.inner_text() == "Play":
         play.click()
-    expect(viewer.at("tissue-label")).to_have_text("Gallbladder", timeout=10_000)
+    expect(viewer.at("tissue-label")).to_have_text("Gallbladder")
     expect(viewer.at("tool-kind")).to_contain_text("SIMULATED")  # the live tool stays in sight
     viewer.page.keyboard.press(" ")
     expect(play).to_have_text("Play")
@@ -134,14 +134,14 @@ def test_a_replay_plays_pauses_seeks_and_is_marked_as_one(service, watch):
     expect(position).not_to_have_value(f"{at:.2f}")
     viewer.at("replay-speed").select_option("10")
     viewer.page.keyboard.press(" ")
-    expect(play).to_have_text("Play", timeout=10_000)  # at its end
+    expect(play).to_have_text("Play")  # at its end
     expect(viewer.at("grasps").locator("tbody tr")).to_have_count(3)
     assert viewer.complaints == []
 
 
 def test_a_broken_recording_says_why_it_cannot_be_shown(service, watch):
     viewer = watch(service.url + "/recordings/broken.lvm")
-    expect(viewer.at("replay-bar")).to_contain_text("cannot be shown", timeout=20_000)
+    expect(viewer.at("replay-bar")).to_contain_text("cannot be shown")
     expect(viewer.at("replay-bar")).to_contain_text("broken.lvm")
 
 
@@ -171,9 +171,9 @@ def test_a_study_is_started_watched_and_stopped(service, watch):
     form = viewer.at("study-form")
     expect(form.locator("option")).not_to_have_count(0)
     viewer.at("study-start").click()
-    expect(viewer.at("study-progress")).to_be_visible(timeout=10_000)
+    expect(viewer.at("study-progress")).to_be_visible()
     viewer.at("study-stop").click()
-    expect(viewer.at("studies-table")).to_contain_text("stopped", timeout=10_000)
+    expect(viewer.at("studies-table")).to_contain_text("stopped")
 
 
 def test_a_calibration_is_guided_reading_by_reading_to_its_file(service, watch):
@@ -189,8 +189,8 @@ def test_a_calibration_is_guided_reading_by_reading_to_its_file(service, watch):
     expect(viewer.at("reading-do")).to_have_text("1 of 4: Hang nothing on the handle.")
     for n, pull in enumerate((5, 10, 15), 2):
         viewer.at("reading-take").click()
-        expect(viewer.at("reading-do")).to_contain_text(f"{n} of 4: Hang a pull of {pull} N", timeout=10_000)
+        expect(viewer.at("reading-do")).to_contain_text(f"{n} of 4: Hang a pull of {pull} N")
     viewer.at("reading-take").click()
-    expect(viewer.at("fit-table")).to_contain_text("calibration.newton_per_volt", timeout=10_000)
+    expect(viewer.at("fit-table")).to_contain_text("calibration.newton_per_volt")
     expect(viewer.page.locator("#fit-plot .reading")).to_have_count(4)
     expect(viewer.at("fit-file")).to_contain_text(str(service.data / "tools"))

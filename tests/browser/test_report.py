@@ -28,7 +28,7 @@ def running_service():
 
 def drawn(viewer):
     """The page once all its plots are there."""
-    expect(viewer.page.locator("html[data-drawn]")).to_have_count(1, timeout=30_000)
+    expect(viewer.page.locator("html[data-drawn]")).to_have_count(1)
     return viewer
 
 
@@ -57,7 +57,7 @@ def test_the_dashboard_opens_it_in_a_new_tab_which_shows_how_far_it_is(service, 
     complaints = []
     tab.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
     expect(tab.get_by_role("heading", name="Report: gallbladder.lvm")).to_be_visible(timeout=60_000)
-    expect(tab.locator("html[data-drawn]")).to_have_count(1, timeout=30_000)
+    expect(tab.locator("html[data-drawn]")).to_have_count(1)
     assert tab.locator(".js-plotly-plot").count() == 5
     assert not complaints
     kept = [*(service.data / "reports").glob("*.html")]
@@ -85,7 +85,7 @@ def test_a_program_and_a_browser_are_told_how_far_it_is(service):
 
 def test_a_broken_recording_has_no_report_and_says_why(service, watch):
     viewer = watch(service.url + "/api/recordings/broken.lvm/report")
-    expect(viewer.page.get_by_role("heading", name="There is no report")).to_be_visible(timeout=30_000)
+    expect(viewer.page.get_by_role("heading", name="There is no report")).to_be_visible()
     expect(viewer.page.get_by_role("status")).to_contain_text("broken.lvm")
     assert service.http.get("/api/recordings/none.lvm/report").status_code == 404
 

@@ -43,7 +43,7 @@ def signed_in(watch, service, token):
     viewer = watch(service.url)
     viewer.at("sign-in-token").fill(token)
     viewer.at("sign-in-send").click()
-    expect(viewer.at("tool-kind")).to_have_text("SIMULATED", timeout=15_000)
+    expect(viewer.at("tool-kind")).to_have_text("SIMULATED")
     return viewer
 
 
@@ -113,5 +113,5 @@ def test_control_is_seen_refused_taken_over_and_given_back(service, watch, token
 def test_a_page_whose_token_was_taken_back_asks_for_another(service, watch, data):
     viewer = signed_in(watch, service, tokens.add(data, "Eve", Role.VIEWER))
     tokens.revoke(data, "Eve")
-    expect(viewer.at("sign-in-token")).to_be_visible(timeout=10_000)
+    expect(viewer.at("sign-in-token")).to_be_visible()
     expect(viewer.at("tool-kind")).to_have_text("NOT CONNECTED")

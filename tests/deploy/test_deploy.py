@@ -63,6 +63,7 @@ def installed(image: Path) -> Iterator[tuple[Path, str]]:
         assert process.wait(15) in (0, -signal.SIGTERM)
 
 
+@pytest.mark.long
 def test_the_wheel_serves_the_dashboard_and_a_run_from_an_empty_environment(installed: tuple[Path, str]) -> None:
     _, url = installed
 
@@ -81,6 +82,7 @@ def test_the_wheel_serves_the_dashboard_and_a_run_from_an_empty_environment(inst
     assert httpx.get(f"{url}/api/recordings/{run['id']}.mcap/report").status_code in (200, 202)
 
 
+@pytest.mark.long
 def test_what_is_installed_is_complete_and_its_own(installed: tuple[Path, str]) -> None:
     programs, _ = installed
     python = programs / "python"

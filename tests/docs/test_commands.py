@@ -22,9 +22,10 @@ HELD = {
     "RECORDING": "liver", "liver": "liver", "liver1": "liver", "liver4Hz1": "liver", "bladder": "bladder",
     "bladder1": "bladder", "bladder2": "bladder", "another": "bladder", "a": "liver", "b": "liver", "c": "bladder",
 }  # fmt: skip
+LONG_PAGES = ("README.md", "docs/tutorial.md", "docs/operating.md", "docs/recordings.md", "docs/learning.md")
 PAGES = [
-    "docs/tutorial.md", "docs/programs.md", "docs/foxglove.md", "docs/operating.md", "docs/people.md",
-    *(pytest.param(page, marks=pytest.mark.long) for page in ("README.md", "docs/recordings.md", "docs/learning.md")),
+    "docs/programs.md", "docs/foxglove.md", "docs/people.md",
+    *(pytest.param(page, marks=pytest.mark.long) for page in LONG_PAGES),
 ]  # fmt: skip
 HARDWARE = "docs/hardware.md"  # needs answers: tests/end_to_end/test_hardware_page.py
 PROSE = {"docs/deploying.md", "CONTRIBUTING.md"}  # only what needs root, Docker or make

@@ -9,10 +9,14 @@ import pytest
 from nbclient import NotebookClient
 from service import Service
 
-EXAMPLES = sorted((Path(__file__).parents[2] / "docs/examples").glob("*.ipynb"))
+LONG = {"recordings"}
+EXAMPLES = [
+    pytest.param(path, id=path.stem, marks=[pytest.mark.long] * (path.stem in LONG))
+    for path in sorted((Path(__file__).parents[2] / "docs/examples").glob("*.ipynb"))
+]
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", EXAMPLES)
 def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     notebook = nbformat.read(path, as_version=4)

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import httpx
 import numpy as np
 import pytest
+from sabotage import SABOTEUR, SIGNALS
 from service import Listener, Service, until
 from websockets.sync.client import connect
 
@@ -194,6 +195,7 @@ def test_sigterm_ends_it_in_order_and_leaves_nothing_behind():
         assert "Traceback" not in running.process.stderr.read()
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("worker", ["estimator", "acquisition"])
 def test_a_killed_worker_is_told_and_replaced(worker):
     with Service("serve") as running, Listener(running) as listener:
@@ -259,12 +261,13 @@ def test_the_demonstration_ends_when_somebody_stops_it():
 
 
 @pytest.mark.long
-def test_a_hung_acquisition_is_ended_and_replaced():
+def test_a_hung_acquisition_is_ended_and_replaced(monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(SABOTEUR))
     with Service("serve") as running, Listener(running) as listener:
         run = running.run(protocol="trapezoid_025hz", cycles=20)
         estimator = running.worker("estimator")
         listener.listen(lambda: any(m["in_grasp"] for m in listener.of("identification")))
-        os.kill(running.worker("acquisition"), signal.SIGSTOP)
+        os.kill(running.worker("acquisition"), SIGNALS["hangs"])
         told_s = listener.listen(lambda: any("No samples" in a["text"] for a in listener.of("alarm")))
         assert told_s < 0.6
         assert running.finished(run["id"])["state"] == "failed"

@@ -11,7 +11,10 @@ import pytest
 from boards import HAS_DRIVER, ServedBoard
 from service import PROGRAM, Service, until
 
-pytestmark = pytest.mark.skipif(HAS_DRIVER, reason="the driver of a real board is installed")
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.skipif(HAS_DRIVER, reason="the driver of a real board is installed"),
+]
 ZERO_MS = 500.0  # a person at the bench waits beside the switch
 
 

@@ -6,6 +6,8 @@ import pytest
 from boards import ServedBoard
 from service import Listener, Service, until
 
+pytestmark = pytest.mark.alone
+
 LONG = {"protocol": "trapezoid_025hz", "cycles": 20}
 
 

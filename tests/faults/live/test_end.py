@@ -9,6 +9,8 @@ from boards import ServedBoard
 from service import Service
 from websockets.sync.client import connect
 
+pytestmark = pytest.mark.alone
+
 LONG = {"protocol": "trapezoid_025hz", "cycles": 20}
 
 

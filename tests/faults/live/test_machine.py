@@ -13,6 +13,8 @@ from service import Listener, Service, until
 from app.record.reading import read_run
 from config.load import CONFIG_DIR
 
+pytestmark = pytest.mark.alone
+
 WRONG_CLOCK = Path(__file__).with_name("wrong_clock")
 
 

@@ -14,6 +14,8 @@ from sabotage import SABOTEUR, SIGNALS
 from service import Listener, Service, until
 from websockets.asyncio.client import connect
 
+pytestmark = pytest.mark.alone
+
 VIEWERS, WHO_NEVER_READ = 100, 10
 STORM_REQUESTS, STORM_CLIENTS = 500, 20
 STOP_S = 0.5

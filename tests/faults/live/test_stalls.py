@@ -12,6 +12,8 @@ from service import Listener, Service, until
 
 from acquisition.bench.jitter import load
 
+pytestmark = pytest.mark.alone
+
 LONG = {"protocol": "trapezoid_025hz", "cycles": 40}
 WORKERS = ("acquisition", "estimator", "recorder", "guard")
 BOARD_KEEPS_S = 10  # of samples that nobody reads

@@ -13,6 +13,8 @@ from acquisition.recordings.container import Container
 from app.record.reading import read_run
 from config.load import load_library
 
+pytestmark = pytest.mark.alone
+
 
 def long(*values):
     """A case for `make safety`, not for every run of the suite."""
