@@ -40,6 +40,7 @@ from app.study import command as study
 from app.support import support
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
+from config.network import host_of
 from config.schema import Foxglove, Settings, Tool, ToolKind
 
 app = typer.Typer(
@@ -282,7 +283,7 @@ def _serve(plan: Any, host: str | None, port: int | None) -> None:
         application = create_app(plan)
         unless_served.pop_all()
     scheme = "https" if server.tls_cert else "http"
-    shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else address
+    shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else host_of(address)
     what = f"replay of {', '.join(path.name for path in plan.opened)}" if plan.opened else plan.tool.title
     errors.print(f"Graspwatch {__version__}: {what}. Research instrument, not a medical device.", soft_wrap=True)
     if not plan.opened:

@@ -13,6 +13,7 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from fastapi_offline import FastAPIOffline
 from starlette.middleware.base import RequestResponseEndpoint
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app import __version__, problems
 from app.audit.deeds import Deeds
@@ -119,6 +120,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
     )
     app.middleware("http")(_add_security_headers)
     app.add_middleware(Deeds)
+    app.add_middleware(HeadAsGet)
     if (STATIC / "index.html").is_file():
         for page in PAGES:
             app.get(page, dependencies=[ANYBODY], include_in_schema=False)(_dashboard)
@@ -139,21 +141,34 @@ async def _dashboard_missing() -> Response:
 
 async def _add_security_headers(request: Request, call_next: RequestResponseEndpoint) -> Response:
     response = await call_next(request)
-    documentation = request.url.path.startswith(DOCUMENTATION)  # its pages carry a script of their own
+    documentation = request.scope["path"].startswith(DOCUMENTATION)  # its pages carry a script of their own
     policy = DOCUMENTATION_POLICY if documentation else POLICY
     response.headers.setdefault("Content-Security-Policy", policy)  # a route may have set a narrower one
-    if request.url.path.startswith("/api/"):
+    if request.scope["path"].startswith("/api/"):
         response.headers.setdefault("Cache-Control", "no-store")
     response.headers.update(HEADERS)
     return response
 
 
+class HeadAsGet:
+    """Middleware: HEAD is answered as GET is; the server that runs the application leaves out the body (RFC 9110)."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope.get("method") == "HEAD":
+            scope = {**scope, "method": "GET"}
+        await self._app(scope, receive, send)
+
+
 def listen(host: str, port: int) -> socket.socket:
-    """A listening socket that gives up on readers that never read.
+    """A listening socket that gives up on readers that never read. An IPv6 address may stand in brackets.
 
     Raises:
         ServiceError: the port is taken or the address is not this machine's.
     """
+    host = host.removeprefix("[").removesuffix("]")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(
         family, socket.SOCK_STREAM, socket.IPPROTO_TCP

@@ -2,23 +2,24 @@
 
 import datetime
 import hashlib
+import ipaddress
 import json
-import re
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, field_validator, model_validator
 
 from config.errors import ConfigurationError
+from config.network import is_loopback, parse_authority
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Slug = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
+Names = Annotated[tuple[str, ...], Field(strict=False)]  # an array, also behind a validator that comes before
 GrpcAddress = Annotated[str, Field(pattern=r"^([A-Za-z0-9.-]+|\[[0-9a-fA-F:]+\]):\d{1,5}$")]
-LOOPBACK = re.compile(r"(localhost|127\.0\.0\.1|\[::1\]):")
 
 
 class Model(BaseModel):
@@ -65,7 +66,7 @@ class Board(Model):
             raise ValueError("certificates are for a board that is reached by grpc_address: name it, or leave them out")
         if self.grpc_cert and not self.grpc_ca:
             raise ValueError("grpc_cert is shown to a server that grpc_ca vouches for: name that, too")
-        if self.grpc_address and not self.grpc_ca and not LOOPBACK.match(self.grpc_address):
+        if self.grpc_address and not self.grpc_ca and not is_loopback(self.grpc_address.rpartition(":")[0]):
             raise ValueError(
                 "anybody on the way could drive the motor of a board that is reached in the clear: name the server's "
                 "certificate in grpc_ca, or use an address of this computer"
@@ -570,8 +571,16 @@ class Protocol(Model):
 
 
 class Server(Model):
+    """Where the service listens, by which names it is asked, and how much it takes.
+
+    `hosts` are names beside localhost, 127.0.0.1, [::1] and the address that it listens on. Where there are tokens and
+    no `hosts`, any name will do. `trusted_proxies` are addresses or networks whose `X-Forwarded-Proto` is believed.
+    """
+
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8000
+    hosts: Names = ()
+    trusted_proxies: Names = ()
     frame_rate_hz: Annotated[float, Field(gt=0, le=100)] = 30.0
     max_viewers: Annotated[int, Field(ge=1)] = 100
     history_s: Positive = 10.0
@@ -594,6 +603,25 @@ class Server(Model):
                 )
             return {key: value for key, value in given.items() if key != "admin_token_file"}
         return given
+
+    @field_validator("hosts")
+    @classmethod
+    def _names(cls, hosts: tuple[str, ...]) -> tuple[str, ...]:
+        parsed = [parse_authority(host) for host in hosts]
+        for host, each in zip(hosts, parsed, strict=True):
+            if each is None or each.port is not None:
+                raise ValueError(f"{host!r} is no name: write it as in `grasp.example` or `[::1]`, without a port")
+        return tuple(each.host for each in parsed if each)
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _networks(cls, proxies: tuple[str, ...]) -> tuple[str, ...]:
+        for proxy in proxies:
+            try:
+                ipaddress.ip_network(proxy)
+            except ValueError:
+                raise ValueError(f"{proxy!r} is no address: write it as in `10.0.0.5` or `10.0.0.0/24`") from None
+        return proxies
 
     @model_validator(mode="after")
     def _certificate_and_key(self) -> Self:

@@ -12,7 +12,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.journal import Journal
-from app.people.origin import FORWARDED
+from app.people.origin import forwarded_headers
 from app.people.roles import SAFE_METHODS
 from app.wire import Result
 
@@ -30,7 +30,7 @@ def note_deed(request: HTTPConnection, *, what: str | None = None, by: str | Non
 def client_of(request: HTTPConnection) -> str:
     """From where a request comes; what a proxy says of that may be wrong, and is marked as said."""
     host = request.client.host if request.client else "unknown"
-    said = [f"{name}: {request.headers[name]}" for name in FORWARDED if name in request.headers]
+    said = [f"{name}: {value}" for name, value in forwarded_headers(request)]
     return (f"{host} ({'; '.join(said)})" if said else host)[:CLIENT_LENGTH]
 
 

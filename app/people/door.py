@@ -12,12 +12,13 @@ from typing import Any
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from app.people.origin import is_loopback
 from app.people.tokens import FILE, read
 from config.errors import ConfigurationError
+from config.network import is_loopback
 
 HANDSHAKE_S = 3.0
 LINGER_S = 1.0
+NO_HANDSHAKE = b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 IN_THE_CLEAR = (
     "Warning: tokens and all else travel unencrypted to other machines. Set --tls-cert and --tls-key, or put a proxy "
     "with TLS before a service that listens on 127.0.0.1."
@@ -83,8 +84,12 @@ class WebSocketDoor(WebSocketsSansIOProtocol):
     only that. What still comes is thrown away for a moment."""
 
     def data_received(self, data: bytes) -> None:
-        if self.conn.parser_exc is None:
-            super().data_received(data)
+        if self.conn.parser_exc is not None:
+            return
+        super().data_received(data)
+        if not self.handshake_initiated and self.conn.handshake_exc is not None:  # else it would never be answered
+            self.transport.write(NO_HANDSHAKE)
+            self.transport.close()
 
     def handle_parser_exception(self) -> None:
         why = self.conn.close_sent

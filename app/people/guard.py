@@ -9,7 +9,7 @@ from http import HTTPStatus
 
 from starlette.requests import HTTPConnection
 
-from app.people.origin import comes_from_here, is_of_this_site
+from app.people.origin import asked_host, comes_from_here, is_allowed, is_of_this_site, only
 from app.people.rates import Rates
 from app.people.roles import SAFE_METHODS, Who
 from app.people.sessions import Sessions
@@ -23,8 +23,13 @@ WATCH_S = 0.5
 FAILURES_AT_ONCE, FAILURES_PER_S = 10, 1 / 6
 STOP = re.compile(r"/api/(runs/[^/]+/)?stop")
 HOW_HERE = (
-    "This service has no tokens, so it is only for this machine: by its own address, and not through a proxy. Make "
-    "tokens with `graspwatch token add NAME --role ROLE` to be let in from elsewhere."
+    "This service has no tokens, so it answers only this computer: at localhost or its own address, not through a "
+    "proxy and not for a page of another site. Open it at localhost, or make tokens with "
+    "`graspwatch token add NAME --role ROLE` to be let in from elsewhere."
+)
+OTHER_HOST = (
+    "The name by which this service was asked (`Host`) is not well formed, or is none of its own, and nothing was "
+    "done. Ask by its address, or have the name added to server.hosts in its settings."
 )
 HOW_BY_TOKEN = "Sign in on the dashboard, or send a good token as `Authorization: Bearer TOKEN`."
 FOREIGN_PAGE = "The page that asks is not of this service (its `Origin`), and only its own pages may do that."
@@ -45,7 +50,7 @@ class Guard:
 
     def __init__(self, plan: ServicePlan) -> None:
         """Raises ConfigurationError: the file of people is at fault."""
-        server = plan.settings.server
+        self.server = server = plan.settings.server
         self.people = People(plan.data)
         self.sessions = Sessions(plan.settings.people.session_idle_s)
         self.open: set[Attendance] = set()
@@ -63,12 +68,15 @@ class Guard:
         """
         who = self._who(connection)
         method = connection.scope.get("method", "WEBSOCKET")
-        if not (method == "POST" and STOP.fullmatch(connection.url.path)):
+        if not (method == "POST" and STOP.fullmatch(connection.scope["path"])):
             self._count(connection, who)
         if who is None and not is_open:
             if self.people.guarded:
                 raise ProblemError(HTTPStatus.UNAUTHORIZED, HOW_BY_TOKEN, headers=CHALLENGE)
             raise ProblemError(HTTPStatus.FORBIDDEN, HOW_HERE)
+        asked = asked_host(connection)
+        if asked is None or (self.server.hosts and not is_allowed(asked, connection, self.server.hosts)):
+            raise ProblemError(HTTPStatus.FORBIDDEN, OTHER_HOST)
         if method not in SAFE_METHODS:
             own = is_of_this_site(connection)
             if own is False or (own is None and who and who.session):
@@ -79,10 +87,9 @@ class Guard:
     def _who(self, connection: HTTPConnection) -> Who | None:
         self._refresh()
         if not self.people.guarded:
-            return Who(Role.ADMIN) if comes_from_here(connection) else None
-        words = connection.headers.get("authorization")
-        if words is not None:
-            scheme, _, token = words.partition(" ")
+            return Who(Role.ADMIN) if comes_from_here(connection, self.server.hosts) else None
+        if "authorization" in connection.headers:
+            scheme, _, token = (only(connection, "authorization") or "").partition(" ")
             if scheme.lower() != "bearer":
                 return None
             entry = self.check(connection, token.strip())

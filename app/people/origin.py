@@ -1,42 +1,78 @@
-"""Where a request comes from: this machine, a proxy, a page of somebody else's."""
+"""Where a request comes from: this computer, a proxy, a page of another site. Judged by the headers as they were sent.
 
-import ipaddress
-from urllib.parse import urlsplit
+Starlette's `request.url` puts the server's own address in the place of a `Host` that it cannot read. Here a header that
+is missing, doubled or not well formed stands for nothing.
+"""
+
+from collections.abc import Collection
+from ipaddress import ip_address, ip_network
 
 from starlette.requests import HTTPConnection
 
-FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "via")
-PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
+from config.network import Authority, host_of, is_loopback, parse_authority
+from config.schema import Server
+
+LOCAL_HOSTS = ("localhost", "127.0.0.1", "[::1]")
+FORWARDED = ("forwarded", "via", "x-real-ip", "x-client-ip", "true-client-ip", "cf-connecting-ip")
+"""What proxies add; and everything that begins with `X-Forwarded`."""
+OWN_PAGES = ("same-origin", "none")
+"""`Sec-Fetch-Site` of a request by the service's own page, and of an address that a person typed."""
+PORTS = {"http": 80, "https": 443}
 
 
-def comes_from_here(connection: HTTPConnection) -> bool:
-    """By its address; not through a proxy, and not from a page that only gave itself the name of this machine."""
-    if any(header in connection.headers for header in FORWARDED):
+def only(connection: HTTPConnection, name: str) -> str | None:
+    """The value of a header that was sent exactly once, else None."""
+    values = connection.headers.getlist(name)
+    return values[0] if len(values) == 1 else None
+
+
+def asked_host(connection: HTTPConnection) -> Authority | None:
+    """By which name the service is asked (`Host`); None if that is missing, doubled or not well formed."""
+    return parse_authority(only(connection, "host") or "")
+
+
+def is_allowed(asked: Authority, connection: HTTPConnection, hosts: Collection[str]) -> bool:
+    """Whether the service is asked by a name of its own: localhost, one of `hosts`, or the address it listens on."""
+    server: tuple[str, int] | None = connection.scope.get("server")
+    return asked.host in {*LOCAL_HOSTS, *hosts} or (server is not None and asked.host == host_of(server[0]))
+
+
+def comes_from_here(connection: HTTPConnection, hosts: Collection[str]) -> bool:
+    """Whether a person or program on this computer asks: by address and by an allowed name, not through a proxy, and
+    not because a page of another site says so."""
+    asked, client = asked_host(connection), connection.client
+    if asked is None or client is None or forwarded_headers(connection):
         return False
-    client = connection.client
-    return client is not None and is_loopback(client.host) and is_loopback(connection.url.hostname or "")
+    site = connection.headers.getlist("sec-fetch-site")
+    return is_loopback(client.host) and is_allowed(asked, connection, hosts) and all(each in OWN_PAGES for each in site)
 
 
-def is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+def forwarded_headers(connection: HTTPConnection) -> list[tuple[str, str]]:
+    """What proxies say, or somebody in their name."""
+    return [
+        (name, value) for name, value in connection.headers.items()
+        if name in FORWARDED or name.startswith("x-forwarded")
+    ]  # fmt: skip
 
 
 def is_of_this_site(connection: HTTPConnection) -> bool | None:
-    """Whether the page that asks comes from this service; None where no page says that it asks.
+    """Whether the page that asks (`Origin`) comes from this service; None where no page says that it asks.
 
     Name and port are compared, not http or https: a proxy before the service may end TLS.
     """
-    origin = connection.headers.get("origin")
-    if origin is None:
+    if "origin" not in connection.headers:
         return None
-    try:
-        page, asked = urlsplit(origin), urlsplit(f"//{connection.headers.get('host', '')}")
-        port = PORTS.get(page.scheme)
-        return page.hostname is not None and (page.hostname, page.port or port) == (asked.hostname, asked.port or port)
-    except ValueError:  # no port
+    scheme, _, rest = (only(connection, "origin") or "").partition("://")
+    page, asked, port = parse_authority(rest), asked_host(connection), PORTS.get(scheme)
+    if page is None or asked is None or port is None:
         return False
+    return (page.host, page.port or port) == (asked.host, asked.port or port)
+
+
+def is_encrypted(connection: HTTPConnection, server: Server) -> bool:
+    """Whether the browser's connection is encrypted: ours, or the one to a proxy that the settings name."""
+    if connection.scope["scheme"] == "https":
+        return True
+    client = connection.client
+    trusted = client is not None and any(ip_address(client.host) in ip_network(each) for each in server.trusted_proxies)
+    return trusted and only(connection, "x-forwarded-proto") == "https"

@@ -1,5 +1,7 @@
 """What is said of a page beside it: how many there are on all, and where the other pages are (RFC 8288)."""
 
+from urllib.parse import quote, urlencode
+
 from fastapi import Request, Response
 
 
@@ -16,5 +18,5 @@ def tell_page(request: Request, response: Response, limit: int, offset: int, tot
 
 def _address(request: Request, limit: int, offset: int) -> str:
     """Without scheme and host, which a proxy may have changed."""
-    url = request.url.include_query_params(limit=limit, offset=offset)
-    return f"{url.path}?{url.query}"
+    asked = [(name, value) for name, value in request.query_params.multi_items() if name not in ("limit", "offset")]
+    return f"{quote(request.scope['path'])}?{urlencode([*asked, ('limit', limit), ('offset', offset)])}"

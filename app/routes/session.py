@@ -6,6 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Request, Response
 
 from app.people.guard import Guard, cookie_of
+from app.people.origin import is_encrypted
 from app.people.roles import ANYBODY, Who, who_asks
 from app.people.tokens import digest
 from app.problems import PROBLEM, ProblemError
@@ -38,7 +39,7 @@ async def sign_in(request: Request, response: Response, wanted: Annotated[SignIn
     entry = guard.check(request, wanted.token.strip())
     _end(request)
     secret = guard.sessions.begin(entry.sha256)
-    encrypted = "https" in (request.url.scheme, request.headers.get("x-forwarded-proto"))  # to a proxy, as it says
+    encrypted = is_encrypted(request, guard.server)
     response.set_cookie(cookie_of(request), secret, httponly=True, samesite="strict", secure=encrypted)
     guard.note(f"Signed in as {entry.role.value}", entry.name)
     return _info(guard, Who(entry.role, entry.name, entry.sha256, digest(secret)))

@@ -4,11 +4,12 @@ import pytest
 from starlette.requests import Request
 
 from app.people.lease import Control
-from app.people.origin import comes_from_here, is_of_this_site
+from app.people.origin import comes_from_here, is_encrypted, is_of_this_site
 from app.people.rates import Rates
 from app.people.sessions import MOST_OF_ONE, Sessions
 from app.people.tokens import digest
 from config.errors import RefusedError
+from config.schema import Server
 
 
 class Clock:
@@ -84,30 +85,66 @@ def test_who_asks_too_often_waits_and_others_do_not(clock: Clock) -> None:
     assert [rates.wait_s("eve") for _ in range(6)].count(0.0) == 5
 
 
-def asked_by(address: str, **headers: str) -> Request:
-    named = {"host": "localhost:8000", **headers}
-    raw = [(name.replace("_", "-").encode(), value.encode()) for name, value in named.items()]
+def asked_by(address: str | None, *headers: tuple[str, str], host: str | None = "localhost:8000") -> Request:
+    named = [("host", host), *headers] if host is not None else headers
+    raw = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in named]
     return Request(
-        {"type": "http", "client": (address, 5000), "headers": raw, "path": "/", "scheme": "http", "query_string": b""}
-    )
+        {
+            "type": "http", "client": address and (address, 5000), "server": ("127.0.0.1", 8000), "headers": raw,
+            "path": "/", "scheme": "http", "query_string": b"",
+        }
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("host", ["localhost", "LOCALHOST:8000", "[::1]:9999", "tool.example", "[fe80::1]"])
+def test_who_sits_at_the_machine_asks_by_one_of_its_names(host: str) -> None:
+    assert comes_from_here(asked_by("127.0.0.1", host=host), ("tool.example", "[fe80::1]"))
+    assert comes_from_here(asked_by("::1", host=host), ("tool.example", "[fe80::1]"))
+    assert not comes_from_here(asked_by("192.0.2.7", host=host), ("tool.example", "[fe80::1]"))
+    assert not comes_from_here(asked_by(None, host=host), ("tool.example", "[fe80::1]"))
 
 
 @pytest.mark.parametrize(
-    ("request_", "here"),
-    [
-        (asked_by("127.0.0.1"), True),
-        (asked_by("::1", host="[::1]:8000"), True),
-        (asked_by("127.0.0.1", host="127.0.0.1"), True),
-        (asked_by("192.0.2.7"), False),
-        (asked_by("127.0.0.1", host="rebound.example"), False),
-        (asked_by("127.0.0.1", host="localhost.example:8000"), False),
-        (asked_by("127.0.0.1", x_forwarded_for="127.0.0.1"), False),
-        (asked_by("127.0.0.1", forwarded="for=127.0.0.1"), False),
-        (asked_by("127.0.0.1", via="1.1 proxy"), False),
-    ],
+    "host",
+    ["rebound.example", "localhost.example", "127.0.0.2", "127.1", "0.0.0.0", "[::]", "::1", "localhost.", "", " ",
+     "localhost:", "localhost:x", "localhost:0", "user@localhost", "a{b.example", "a`b.example:8000", "localhost\xa0",
+     "localhost, evil.example", "evil.example/localhost", None],
+)  # fmt: skip
+def test_any_other_name_is_none_of_this_machine(host: str | None) -> None:
+    assert not comes_from_here(asked_by("127.0.0.1", host=host), ())
+
+
+def test_two_names_are_none() -> None:
+    assert not comes_from_here(asked_by("127.0.0.1", ("host", "localhost:8000")), ())
+
+
+def test_the_address_it_listens_on_is_a_name_of_its_own() -> None:
+    request = asked_by("127.0.0.5", host="127.0.0.5:8000")
+    assert not comes_from_here(request, ())
+    request.scope["server"] = ("127.0.0.5", 8000)
+    assert comes_from_here(request, ())
+    request = asked_by("::1", host="[fd00::5]:8000")
+    request.scope["server"] = ("fd00::5", 8000)
+    assert comes_from_here(request, ())
+
+
+@pytest.mark.parametrize(
+    "name", ["X-Forwarded-For", "X-Forwarded-Host", "X-Forwarded-Proto", "X-Forwarded", "Forwarded", "Via", "X-Real-IP"]
 )
-def test_who_sits_at_the_machine_is_told_from_who_only_seems_to(request_: Request, here: bool) -> None:
-    assert comes_from_here(request_) is here
+@pytest.mark.parametrize("value", ["127.0.0.1", "for=127.0.0.1", ""])
+def test_a_proxy_is_not_this_machine(name: str, value: str) -> None:
+    assert not comes_from_here(asked_by("127.0.0.1", (name.lower(), value)), ())
+
+
+@pytest.mark.parametrize(
+    ("sites", "here"),
+    [
+        (["same-origin"], True), (["none"], True), (["cross-site"], False), (["same-site"], False), ([""], False),
+        (["none", "cross-site"], False), (["Same-Origin"], False),
+    ],
+)  # fmt: skip
+def test_a_request_that_another_sites_page_makes_is_not_the_persons(sites: list[str], here: bool) -> None:
+    assert comes_from_here(asked_by("127.0.0.1", *(("sec-fetch-site", each) for each in sites)), ()) is here
 
 
 @pytest.mark.parametrize(
@@ -124,11 +161,42 @@ def test_who_sits_at_the_machine_is_told_from_who_only_seems_to(request_: Reques
         ("tool.example", "null", False),
         ("tool.example", "http://tool.example:x", False),
         ("tool.example", "file://", False),
+        ("tool.example", "", False),
+        ("tool.example", "tool.example", False),
+        ("tool.example", "http://tool.example/", False),
+        ("tool.example", "http://user@tool.example", False),
+        ("tool.example", "http://tool.example http://tool.example", False),
+        ("tool.example", "chrome-extension://tool.example", False),
+        ("a{b.example", "http://a{b.example", False),
+        ("", "http://", False),
     ],
 )
 def test_another_sites_page_is_told_by_its_origin(host: str, origin: str, own: bool) -> None:
-    assert is_of_this_site(asked_by("192.0.2.7", host=host, origin=origin)) is own
+    assert is_of_this_site(asked_by("192.0.2.7", ("origin", origin), host=host)) is own
+    assert is_of_this_site(asked_by("192.0.2.7", ("origin", origin), ("origin", origin), host=host)) is False
 
 
 def test_a_program_says_no_origin() -> None:
     assert is_of_this_site(asked_by("192.0.2.7")) is None
+
+
+@pytest.mark.parametrize(
+    ("client", "scheme", "said", "encrypted"),
+    [
+        ("192.0.2.7", "https", [], True),
+        ("192.0.2.7", "http", ["https"], False),  # no proxy of the settings
+        ("10.1.2.3", "http", ["https"], True),
+        ("10.1.2.3", "http", ["http"], False),
+        ("10.1.2.3", "http", ["https", "https"], False),
+        ("10.1.2.3", "http", ["https, http"], False),
+        ("fd00::5", "http", ["https"], True),
+        (None, "http", ["https"], False),
+    ],
+)
+def test_only_a_proxy_of_the_settings_is_believed(
+    client: str | None, scheme: str, said: list[str], encrypted: bool
+) -> None:
+    server = Server(trusted_proxies=("10.0.0.0/8", "fd00::5"))
+    request = asked_by(client, *(("x-forwarded-proto", each) for each in said))
+    request.scope["scheme"] = scheme
+    assert is_encrypted(request, server) is encrypted

@@ -1,0 +1,78 @@
+"""Names and addresses of computers: what an authority (RFC 3986, `host:port`) says, and which are this computer's."""
+
+import ipaddress
+import re
+import socket
+from typing import NamedTuple
+
+_LABEL = r"[a-z0-9_]([a-z0-9_-]{0,61}[a-z0-9_])?"
+_HOST = rf"{_LABEL}(\.{_LABEL})*|\[[0-9a-f:.]+\]"
+_AUTHORITY = re.compile(rf"(?P<host>{_HOST})(:(?P<port>[1-9][0-9]{{0,4}}))?", re.IGNORECASE | re.ASCII)
+LONGEST_NAME = 253
+LARGEST_PORT = 65_535
+
+
+class Authority(NamedTuple):
+    """`host` is in lower case, an IPv6 address in brackets; no port: that of the scheme."""
+
+    host: str
+    port: int | None = None
+
+
+def parse_authority(text: str) -> Authority | None:
+    """Read `host` or `host:port`; None if it is not exactly that.
+
+    Names are ASCII without a dot at the end (an international one in its `xn--` form), IPv6 addresses stand in
+    brackets. User names, spaces, empty ports and zones are refused: nothing is repaired, and nothing left out.
+    """
+    found = _AUTHORITY.fullmatch(text)
+    if found is None:
+        return None
+    host, port = found["host"].lower(), int(found["port"] or 0)
+    if len(host) > LONGEST_NAME or port > LARGEST_PORT or (host.startswith("[") and not _is_ipv6(host[1:-1])):
+        return None
+    return Authority(host, port or None)
+
+
+def host_of(address: str) -> str:
+    """An address of a socket, or a name, as the host of an authority: an IPv6 address in brackets."""
+    return f"[{address}]" if ":" in address and not address.startswith("[") else address
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a program that listens on `host` (a name or an address) is reached from this computer alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def is_this_computer(host: str) -> bool:
+    """Whether a connection to `host` stays on this computer, however that is spelled: it needs no proxy then.
+
+    `localhost` and what ends in it (RFC 6761), 127.0.0.0/8 also in its short forms (127.1), ::1, and the unspecified
+    address, which connects here as well. No name is looked up.
+    """
+    name = host.strip("[]").rstrip(".").lower()
+    if name == "localhost" or name.endswith(".localhost"):
+        return True
+    try:
+        address = ipaddress.ip_address(name.partition("%")[0])
+    except ValueError:
+        try:
+            address = ipaddress.ip_address(socket.inet_aton(name))
+        except (OSError, ValueError):
+            return False
+    if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped:
+        address = address.ipv4_mapped
+    return address.is_loopback or address.is_unspecified
+
+
+def _is_ipv6(text: str) -> bool:
+    try:
+        ipaddress.IPv6Address(text)
+    except ValueError:
+        return False
+    return True
