@@ -22,6 +22,7 @@ from nidaqmx.system import Device, System
 
 from acquisition.source import RawBlock
 from config.errors import RefusedError, ToolError
+from config.network import is_this_computer
 from config.schema import Board, Tool
 
 # DaqBaseError holds a missing driver, a failing board and a lost server; OSError comes from a driver that cannot load.
@@ -267,10 +268,13 @@ def _channel_to(board: Board) -> grpc.Channel:
     Raises:
         ToolError: a certificate cannot be read.
     """
+    address = board.grpc_address or ""
+    direct = is_this_computer(address.rpartition(":")[0])  # the proxy variables are for other computers
+    options = (*_CHANNEL, ("grpc.enable_http_proxy", int(not direct)))
     if not board.grpc_ca:
-        return grpc.insecure_channel(board.grpc_address, options=_CHANNEL)
+        return grpc.insecure_channel(address, options=options)
     ca, key, cert = (_pem(path) if path else None for path in (board.grpc_ca, board.grpc_key, board.grpc_cert))
-    return grpc.secure_channel(board.grpc_address, grpc.ssl_channel_credentials(ca, key, cert), options=_CHANNEL)
+    return grpc.secure_channel(address, grpc.ssl_channel_credentials(ca, key, cert), options=options)
 
 
 def _pem(path: str) -> bytes:

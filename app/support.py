@@ -26,6 +26,7 @@ from app.options import ConfigOption, DataOption, ToolOption, data_folder, error
 from app.people import tokens
 from config.errors import ConfigurationError, GraspwatchError
 from config.load import load_library, load_settings, load_tool
+from config.network import is_this_computer
 from config.schema import Settings
 
 HIDDEN = "(hidden)"
@@ -143,7 +144,11 @@ def _service(url: str, token: str | None) -> dict[str, str]:
 
     parts = {}
     headers = {"Authorization": f"Bearer {token}"} if token else {}
-    with httpx.Client(base_url=url, headers=headers, timeout=ANSWER_S) as service:
+    direct = is_this_computer(httpx.URL(url).host)  # no token leaves it for a proxy
+    trust = ssl.create_default_context()
+    with httpx.Client(
+        base_url=url, headers=headers, timeout=ANSWER_S, verify=trust, trust_env=not direct
+    ) as service:
         for name, path in QUESTIONS.items():
             try:
                 answer = service.get(path)

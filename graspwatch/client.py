@@ -36,6 +36,7 @@ from app.wire import (
     System,
     ToolInfo,
 )
+from config.network import is_this_computer
 from graspwatch.asking import Asking
 from graspwatch.errors import ClientError
 from graspwatch.frames import Frame
@@ -55,11 +56,15 @@ class Graspwatch:
         by: str | None = None, timeout_s: float = 10.0,
     ) -> None:  # fmt: skip
         """`token` is what `graspwatch token add` printed; `trust` knows the certificate of a service at https (None:
-        as this computer does); `by` is a name for the journal where the service knows nobody by a token."""
+        as this computer does); `by` is a name for the journal where the service knows nobody by a token. A service on
+        this computer is asked directly, others through the proxy that `HTTPS_PROXY` and the like name."""
         self._by, self._timeout_s = by, timeout_s
         self._trust = trust or ssl.create_default_context()
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
-        self._http = httpx.AsyncClient(base_url=url, headers=self._headers, verify=self._trust, timeout=timeout_s)
+        self._http = httpx.AsyncClient(
+            base_url=url, headers=self._headers, verify=self._trust, timeout=timeout_s,
+            trust_env=not is_this_computer(httpx.URL(url).host),  # its proxy variables are for other computers
+        )  # fmt: skip
         self._asking = Asking(self._http)
 
     async def __aenter__(self) -> Self:

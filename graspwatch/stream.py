@@ -10,6 +10,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
 from app.wire import SCHEMA_VERSION, FrameReceived, Hello, ServerMessage
+from config.network import is_this_computer
 from graspwatch.asking import refused, unreachable
 from graspwatch.errors import ConnectionLostError
 from graspwatch.frames import Frame
@@ -51,8 +52,9 @@ async def _connected(
     address = str(url.copy_with(scheme="wss" if secure else "ws", path="/api/live"))
     try:
         socket = await connect(
-            address, additional_headers=headers, ssl=trust if secure else None, max_size=None, open_timeout=timeout_s
-        )
+            address, additional_headers=headers, ssl=trust if secure else None, max_size=None, open_timeout=timeout_s,
+            proxy=None if is_this_computer(url.host) else True,
+        )  # fmt: skip
     except InvalidStatus as error:
         raise refused(error.response.status_code, error.response.body or b"") from error
     except (OSError, InvalidHandshake, TimeoutError) as error:

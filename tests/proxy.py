@@ -1,4 +1,4 @@
-"""A line between a browser and the service that can be cut and mended."""
+"""Between a client and the service: a line that can be cut and mended, and an HTTP proxy."""
 
 import socket
 import threading
@@ -51,14 +51,58 @@ class Line:
             far = socket.create_connection(("127.0.0.1", self._target))
             self._ends += [near, far]
             for source, sink in ((near, far), (far, near)):
-                threading.Thread(target=self._forward, args=(source, sink), daemon=True).start()
+                threading.Thread(target=_forward, args=(source, sink), daemon=True).start()
 
-    @staticmethod
-    def _forward(source: socket.socket, sink: socket.socket) -> None:
+
+class HttpProxy:
+    """An HTTP proxy that leads every address to `port` of this machine; keeps the first line of what it was asked."""
+
+    def __init__(self, port: int) -> None:
+        self._target = port
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.asked: list[str] = []
+
+    def __enter__(self) -> Self:
+        threading.Thread(target=self._accept, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._listener.accept()
+            except OSError:  # closed: the test is over
+                return
+            threading.Thread(target=self._lead, args=(near,), daemon=True).start()
+
+    def _lead(self, near: socket.socket) -> None:
+        head = b""
+        while b"\r\n\r\n" not in head and (data := near.recv(65_536)):
+            head += data
+        self.asked.append(head.partition(b"\r\n")[0].decode("latin-1"))
         try:
-            while data := source.recv(65_536):
-                sink.sendall(data)
-        except OSError:  # cut
-            pass
-        finally:
-            sink.close()
+            far = socket.create_connection(("127.0.0.1", self._target))
+        except OSError:  # nobody is there any more
+            near.close()
+            return
+        if head.startswith(b"CONNECT "):
+            near.sendall(b"HTTP/1.1 200 OK\r\n\r\n")
+        else:
+            method, address, rest = head.split(b" ", 2)
+            path = b"/" + address.split(b"/", 3)[3]
+            far.sendall(b" ".join((method, path, rest.replace(b"\r\n", b"\r\nConnection: close\r\n", 1))))
+        threading.Thread(target=_forward, args=(near, far), daemon=True).start()
+        _forward(far, near)
+
+
+def _forward(source: socket.socket, sink: socket.socket) -> None:
+    try:
+        while data := source.recv(65_536):
+            sink.sendall(data)
+    except OSError:  # cut
+        pass
+    finally:
+        sink.close()

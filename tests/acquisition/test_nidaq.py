@@ -15,6 +15,7 @@ from nidaqmx.constants import AcquisitionType, TriggerType
 from nidaqmx.errors import DaqError
 from nidaqmx.stream_readers import CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
+from proxy import HttpProxy
 from pydantic import ValidationError
 
 from acquisition.nidaq import NidaqTool, reset_device, session_options
@@ -344,3 +345,28 @@ def test_a_certificate_that_is_not_there_is_named() -> None:
 def test_a_board_in_the_clear_or_with_half_of_its_certificates_is_refused(wiring: dict[str, str], says: str) -> None:
     with pytest.raises(ValidationError, match=says):
         Board(**wiring)
+
+
+@pytest.mark.parametrize("variable", ["grpc_proxy", "http_proxy", "https_proxy", "HTTP_PROXY", "all_proxy"])
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "127.0.0.9", "[::1]"])
+def test_a_board_on_this_computer_is_asked_directly_whatever_the_proxy_variables_say(
+    monkeypatch: pytest.MonkeyPatch, host: str, variable: str
+) -> None:
+    server, port = serve_tcp(SimulatedBoard(TOOL, Ramp(), VirtualClock()), f"{host}:0")
+    with HttpProxy(port) as proxy:
+        monkeypatch.setenv(variable, proxy.url)
+        with reached_by({"grpc_address": f"{host}:{port}"}) as tool:
+            tool.read_block()
+        assert proxy.asked == []
+    server.stop(grace=None).wait()
+
+
+def test_a_board_in_another_computer_is_asked_through_the_proxy(encrypted, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, wiring, _ = encrypted
+    address, port = "board.example:31763", int(wiring["grpc_address"].rpartition(":")[2])
+    with HttpProxy(port) as proxy:
+        monkeypatch.setenv("grpc_proxy", proxy.url)
+        other = pytest.raises(ToolError, match=r"server of Dev1 is lost")  # the certificate is not for that name
+        with other, reached_by(wiring | {"grpc_address": address}):
+            pass
+        assert proxy.asked[0].startswith(f"CONNECT {address}")
