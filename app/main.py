@@ -27,12 +27,14 @@ from app.people.guard import Guard
 from app.people.rights import describe, open_paths, rights_of
 from app.people.roles import ANYBODY
 from app.plan import ServicePlan
+from app.recording_bin import RecordingBin
 from app.replay.films import Films
 from app.replay.shelf import Shelf
 from app.report.reports import Reports
 from app.routes import (
     alarms,
     audit,
+    bin,
     calibration,
     catalogue,
     control,
@@ -62,7 +64,9 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-ROUTES = (runs, control, calibration, session, history, audit, alarms, catalogue, system, studies, recordings, live)
+ROUTES = (
+    runs, control, calibration, session, history, audit, alarms, catalogue, system, studies, recordings, bin, live,
+)  # fmt: skip
 ROUTERS = tuple(each.router for each in ROUTES)
 LONGEST_WORD_BYTES = 65_536  # of a viewer
 GRACE_S = 0.3
@@ -84,16 +88,17 @@ def create_app(plan: ServicePlan) -> FastAPI:
         app.state.calibration = CalibrationDesk(plan, station)
         desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
         index = contextlib.aclosing(station.index)  # closed last: whatever ends has something to tell
-        films, shelf = contextlib.aclosing(Films(plan)), contextlib.aclosing(Shelf(plan))
-        reports = contextlib.aclosing(Reports(plan))
+        films, reports, shelf = Films(plan), Reports(plan), contextlib.aclosing(Shelf(plan))
         await station.start()
+        recording_bin = contextlib.aclosing(RecordingBin(plan, station, films, reports))
         chain = contextlib.aclosing(ChainWatch(plan.data, station.index, station.alarms))
         watch = asyncio.create_task(guard.watch(station))
         station.watch_over(watch)
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
         async with (
-            index, desk as app.state.studies, films as app.state.films, shelf as app.state.shelf,
-            reports as app.state.reports, chain as app.state.chain,
+            index, desk as app.state.studies, contextlib.aclosing(films) as app.state.films, shelf as app.state.shelf,
+            contextlib.aclosing(reports) as app.state.reports, chain as app.state.chain,
+            recording_bin as app.state.bin,
         ):  # fmt: skip
             try:
                 yield

@@ -336,7 +336,8 @@ class Station:
         if self._free_bytes is None:
             self.alarms.raise_technical("disk", Priority.MEDIUM, f"The data folder {self.plan.data} is gone: mend it")
         elif self._free_bytes < LITTLE_DISK_BYTES:
-            self.alarms.raise_technical("disk", Priority.MEDIUM, f"The disk of {self.plan.data} is full: make room")
+            full = f"The disk of {self.plan.data} is full: make room, or empty the bin of the recordings"
+            self.alarms.raise_technical("disk", Priority.MEDIUM, full)
         else:
             self.alarms.end("disk")
         if time.monotonic() - self._lost_s > LOSS_SHOWN_S:

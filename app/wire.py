@@ -381,6 +381,11 @@ class JournalKind(StrEnum):
     ALARM = "alarm"
     ACKNOWLEDGED = "acknowledged"
     DELETED = "deleted"
+    """A recording went to the bin."""
+    RESTORED = "restored"
+    """A recording came back from the bin."""
+    EMPTIED = "emptied"
+    """A recording was removed from the bin, for good."""
     REQUEST = "request"
     """Somebody asked for a change: who, what, from where, and what came of it."""
     ACCESS = "access"
@@ -437,7 +442,7 @@ class JournalEntry(Wire):
     unit: str | None = None
     run: Run | None = Field(None, description="As it was then")
     alarm: Alarm | None = Field(None, description="As it was then")
-    file: FileRecord | None = Field(None, description="The recording that was deleted")
+    file: FileRecord | None = Field(None, description="The recording that was deleted or restored")
     action: str | None = Field(None, description="What was asked for: the name of the route or of the command")
     client: str | None = Field(None, description="From where it was asked for")
     result: Result | None = None
@@ -494,6 +499,32 @@ class Recordings(Wire):
 
     folder: str
     recordings: list[RecordingInfo]
+
+
+class BinnedRecording(Wire):
+    """A deleted recording that can be restored."""
+
+    entry: str = Field(description="Its name in the bin")
+    name: str
+    size_bytes: int
+    deleted_at: str = Field(description="ISO 8601, UTC")
+    deleted_by: str | None
+    expires_at: str = Field(description="ISO 8601, UTC; soon after that it is removed for good")
+
+
+class BinContent(Wire):
+    """What is in the bin, deleted last first. It takes room on the disk until it is emptied."""
+
+    recordings: list[BinnedRecording]
+    size_bytes: int
+    keep_days: float
+
+
+class Emptied(Wire):
+    """What was removed from the bin, for good."""
+
+    removed: int
+    freed_bytes: int
 
 
 class ReportProgress(Wire):

@@ -17,8 +17,8 @@ SCHEMA_FILE = Path(__file__).parents[1] / "frontend" / "src" / "wire.schema.json
 
 SENT_BY_SERVER = (
     "ServerMessage", "Run", "ProtocolInfo", "LibraryInfo", "Grasp", "StopAnswer", "Health", "Problem", "Alarm",
-    "JournalEntry", "JournalCheck", "Recordings", "Studies", "StudyRun", "System", "SafetyReport", "SessionInfo",
-    "ControlInfo", "Calibration",
+    "JournalEntry", "JournalCheck", "Recordings", "BinContent", "Studies", "StudyRun", "System", "SafetyReport",
+    "SessionInfo", "ControlInfo", "Calibration",
 )  # fmt: skip
 SENT_BY_BROWSER = (
     "RunRequest", "ArmRequest", "StopRequest", "FrameReceived", "AcknowledgeRequest", "ReplayControl", "StudyRequest",

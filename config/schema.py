@@ -679,13 +679,17 @@ class Limiter(Model):
 
 
 class Recording(Model):
-    """What is kept of every run. Nothing is recorded where fewer than `least_free_bytes` are free."""
+    """What is kept of every run. Nothing is recorded where fewer than `least_free_bytes` are free.
+
+    A deleted recording stays in the bin for `keep_deleted_days`.
+    """
 
     enabled: bool = True
     before_s: Annotated[float, Field(ge=0, le=60)] = 5.0
     after_s: Annotated[float, Field(ge=0, le=60)] = 1.0
     least_free_bytes: Annotated[int, Field(ge=0)] = 200_000_000
     demonstrations_kept: Annotated[int, Field(ge=0)] = 12
+    keep_deleted_days: Annotated[float, Field(ge=0, le=36_500)] = 30.0
 
 
 class Warnings(Model):

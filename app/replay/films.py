@@ -56,6 +56,13 @@ class Films:
         """Whether somebody watches a recording's film."""
         return any(showing.viewers for (film_of, _, _), showing in self._showings.items() if film_of == path)
 
+    def forget(self, path: Path) -> None:
+        """Let go of a recording's films that nobody watches, and of the room they take."""
+        for key, showing in list(self._showings.items()):
+            if key[0] == path and not showing.viewers:
+                showing.film.cancel()
+                del self._showings[key]
+
     @contextlib.contextmanager
     def watching(self, path: Path) -> Iterator[Showing]:
         """Be a viewer of a recording's film; it is made if need be, and no further when nobody waits for it any more.

@@ -71,12 +71,20 @@ class Reports:
         except OSError as error:
             raise RecordingError(f"{recording.name}: cannot be read ({error.strerror}).") from None
         identity = f"{recording.resolve()} {found.st_size} {found.st_mtime_ns} {self._configuration}"
-        key = hashlib.sha256(identity.encode()).hexdigest()[:20]
-        return self._plan.reports_folder / f"{key}.html"
+        return self._plan.reports_folder / f"{_digest(str(recording.resolve()))}-{_digest(identity)}.html"
+
+    async def forget(self, recording: Path) -> None:
+        """Let go of all pages of a recording, also those that are being made."""
+        beginning = f"{_digest(str(recording.resolve()))}-"
+        for page in [page for page in self._makings if page.name.startswith(beginning)]:
+            self._makings.pop(page).task.cancel()
+        for page in await asyncio.to_thread(list, self._plan.reports_folder.glob(f"{beginning}*")):
+            page.unlink(missing_ok=True)
 
     async def _make(self, recording: Path, page: Path) -> None:
         def told(share: float) -> None:
-            self._makings[page].share = share
+            if page in self._makings:  # else the recording was deleted meanwhile
+                self._makings[page].share = share
 
         plan = self._plan
         async with self._one:
@@ -96,6 +104,10 @@ class Reports:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 # --- in the process -----------------------------------------------------------------------------------------------

@@ -1,7 +1,6 @@
 """Recordings: the list, the files, and replays."""
 
-import asyncio
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
@@ -14,6 +13,7 @@ from app.audit.deeds import client_of
 from app.live import Viewer
 from app.people.roles import needs, signed_by
 from app.problems import PROBLEM, ProblemError
+from app.recording_bin import RecordingBin
 from app.replay.films import Films
 from app.replay.player import Replay, refuse
 from app.replay.shelf import Shelf
@@ -22,7 +22,7 @@ from app.routes.paging import tell_page
 from app.routes.studies import REPORT_POLICY
 from app.station import Station
 from app.store.questions import RecordingQuestion
-from app.wire import FileRecord, JournalKind, Person, RecordingInfo, Recordings, ReportProgress, Result, Role
+from app.wire import Person, RecordingInfo, Recordings, ReportProgress, Result, Role
 from config.errors import GraspwatchError, RecordingError, RefusedError
 
 router = APIRouter(prefix="/api/recordings", tags=["recordings"])
@@ -91,26 +91,13 @@ async def delete(
     name: str,
     by: Annotated[Person | None, Query(description="Who deletes it; whoever is signed in may leave it out")] = None,
 ) -> None:
-    """Delete a recording for good: only an admin may. The journal and the index keep who did it."""
-    station: Station = request.app.state.station
+    """Delete a recording: only an admin may. It lies in the bin for a while, from where it can be restored; the journal
+    and the index keep who did it."""
     by = signed_by(request, by)
     path = await _path(request, name)
     _refuse_in_use(request, path)
-    now = datetime.now(UTC).isoformat(timespec="milliseconds")
-    before = await _record(station, path)
-    gone = before.model_copy(update={"deleted_at": now, "deleted_by": by})
-    if not station.journal.write(JournalKind.DELETED, f"Recording {name} is being deleted", by=by, file=gone):
-        station.journal.write(JournalKind.DELETED, f"Recording {name} stays", by=by, file=before)
-        detail = "The journal cannot be written, and nothing is deleted without a line in it. Make room by other means."
-        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail)
-    await asyncio.gather(station.index.settled(), station.journal.synced())
-    try:
-        await asyncio.to_thread(path.unlink, missing_ok=True)
-    except OSError as error:
-        text = f"Recording {name} could not be deleted: {error.strerror}"
-        station.journal.write(JournalKind.DELETED, text, by=by, file=before)
-        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, f"{text}. Allow writing in its folder.") from None
-    station.tell_event(f"Recording {name} deleted", JournalKind.EVENT, by)
+    bin_: RecordingBin = request.app.state.bin
+    await bin_.delete(path, by)
 
 
 def _refuse_in_use(request: Request, path: Path) -> None:
@@ -128,17 +115,6 @@ def _refuse_in_use(request: Request, path: Path) -> None:
     raise ProblemError(HTTPStatus.CONFLICT, f"{path.name} is in use: {why}")
 
 
-async def _record(station: Station, path: Path) -> FileRecord:
-    """As the index knows it, else what the disk says."""
-    known = await station.index.ask(station.index.store.file, path.name)
-    if known and not known.deleted_at:
-        return known
-    found = await asyncio.to_thread(path.stat)
-    return FileRecord(
-        name=path.name, run_id=None, size_bytes=found.st_size,
-        made_at=datetime.fromtimestamp(found.st_mtime, UTC).isoformat(timespec="milliseconds"),
-        duration_s=None, samples=None, lost_samples=None, format_version=None, condition=None, problem=None,
-    )  # fmt: skip
 @router.get(
     "/{name}/report",
     dependencies=[needs(Role.VIEWER)],

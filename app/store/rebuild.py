@@ -16,6 +16,7 @@ from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session
 
 from app.audit.file import journals_in, open_journal
+from app.bin import Bin, BinnedFile
 from app.record.indexing import recorded_file, recorded_messages
 from app.record.recorder import ENDING
 from app.store.claim import Claim
@@ -64,6 +65,12 @@ def recordings_in(data: Path, readers: Iterable[Reader]) -> dict[Path, Reader]:
     return {path: reader for path in files for reader in readers if path.name.endswith(reader.ending)}
 
 
+def binned_in(data: Path, readers: Iterable[Reader]) -> dict[Path, tuple[BinnedFile, Reader]]:
+    """The same of those in the bin: they can be restored, and then their grasps are to be known."""
+    files = reversed(Bin(data / "recordings").files())
+    return {file.path: (file, reader) for file in files for reader in readers if file.name.endswith(reader.ending)}
+
+
 def rebuild(url: URL, data: Path, readers: Iterable[Reader], progress: Callable[[float], None]) -> Rebuilt:
     """Build the index anew and put it in the old one's place as a whole; `progress` hears the share that is done.
 
@@ -104,8 +111,10 @@ def _in_new_file(url: URL, data: Path, readers: Iterable[Reader], progress: Call
 
 def _fill(store: Store, data: Path, readers: Iterable[Reader], progress: Callable[[float], None]) -> Rebuilt:
     rebuilt = Rebuilt()
-    recordings, journals = recordings_in(data, readers), journals_in(data)
-    sizes = {path: max(path.stat().st_size, 1) for path in [*journals, *recordings]}
+    readers = tuple(readers)
+    recordings, journals, binned = recordings_in(data, readers), journals_in(data), binned_in(data, readers)
+    # the journal knows who deleted what and what came back; and a recording that is there is not deleted
+    sizes = {path: max(path.stat().st_size, 1) for path in [*binned, *journals, *recordings]}
     done, total = 0, sum(sizes.values())
     with faults_explained(store.url), store.writing() as session:
         for table in reversed(Table.metadata.sorted_tables):
@@ -113,6 +122,9 @@ def _fill(store: Store, data: Path, readers: Iterable[Reader], progress: Callabl
         for path, size in sizes.items():
             if path in recordings:
                 take_recording(session, path, recordings[path], rebuilt)
+            elif path in binned:
+                file, reader = binned[path]
+                take_recording(session, path, reader, rebuilt, deleted_at=file.deleted_iso)
             else:
                 _take_journal(session, path, rebuilt)
             session.expunge_all()
@@ -121,11 +133,18 @@ def _fill(store: Store, data: Path, readers: Iterable[Reader], progress: Callabl
     return rebuilt
 
 
-def take_recording(session: Session, path: Path, reader: Reader, rebuilt: Rebuilt) -> None:
-    """A recording that cannot be read to its end gives what it has; its fault is told, and the others go on."""
+def take_recording(
+    session: Session, path: Path, reader: Reader, rebuilt: Rebuilt, deleted_at: str | None = None
+) -> None:
+    """A recording that cannot be read to its end gives what it has; its fault is told, and the others go on.
+
+    `deleted_at` is of one in the bin, ISO 8601.
+    """
     for part in (_messages_of, _record_of):
         try:
             for run_id, message in part(path, reader):
+                if isinstance(message, FileRecord):
+                    message = message.model_copy(update={"deleted_at": deleted_at})
                 with session.begin_nested():
                     take(session, message, run_id)
         except (GraspwatchError, OSError, ValueError, OverflowError, TypeError, DataError, IntegrityError) as error:

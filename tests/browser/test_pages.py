@@ -87,21 +87,71 @@ def test_the_first_visit_explains_the_page_once(service, watch):
     expect(hints).to_have_count(shown)
 
 
-def test_a_recording_is_deleted_on_the_second_press(service, watch):
-    path = service.data / "recordings" / "old.lvm"
-    path.write_text("LabVIEW Measurement\n")
-    viewer = watch(service.url + "/recordings")
-    row = viewer.at("recordings").get_by_role("row").filter(has_text="old.lvm")
-    row.get_by_test_id("recording-delete").click()
-    expect(row.get_by_test_id("recording-delete")).to_have_text("For good?")
-    assert path.exists()
-    row.get_by_test_id("recording-delete").click()
-    viewer.page.locator("#person-name").fill("Ada")
-    viewer.page.locator("#person-name").press("Enter")
-    expect(viewer.at("recordings")).not_to_contain_text("old.lvm")
-    assert not path.exists()
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
+def test_a_double_click_deletes_nothing_and_what_is_deleted_comes_back(service, watch, size):
+    width, height = size
+    names = [f"{name}-{width}.lvm" for name in ("old", "older")]
+    paths = [service.data / "recordings" / name for name in names]
+    for path in paths:
+        path.write_text("LabVIEW Measurement\n")
+    viewer = watch(service.url + "/recordings", width=width, height=height)
+    row, other = (viewer.at("recordings").get_by_role("row").filter(has_text=name) for name in names)
+    delete, yes = row.get_by_test_id("recording-delete"), row.get_by_test_id("confirm-yes")
+    delete.scroll_into_view_if_needed()
+    finger = delete.bounding_box()
+    delete.dblclick()
+    expect(row.get_by_test_id("confirm")).to_contain_text("to the bin?")
+    expect(yes).to_be_disabled()
+    viewer.page.mouse.dblclick(finger["x"] + finger["width"] / 2, finger["y"] + finger["height"] / 2)
+    viewer.page.wait_for_timeout(1500)
+    assert all(path.exists() for path in paths)
+    if not yes.is_visible():
+        delete.click()
+    expect(yes).to_be_enabled()
+    asked, under = yes.bounding_box(), delete.bounding_box()
+    assert not overlap(asked, finger) and not overlap(asked, under)
+    yes.dblclick()
+    if viewer.page.locator("#person-name").is_visible():
+        viewer.page.locator("#person-name").fill("Ada")
+        viewer.page.locator("#person-name").press("Enter")
+    expect(row).to_have_count(0)
+    expect(other).to_have_count(1)
+    assert [path.exists() for path in paths] == [False, True]
     line = service.http.get("/api/audit", params={"kind": "deleted"}).json()[0]
-    assert (line["by"], line["file"]["name"]) == ("Ada", "old.lvm")
+    assert (line["by"], line["file"]["name"]) == ("Ada", names[0])
+    binned = viewer.at("bin").get_by_role("row").filter(has_text=names[0])
+    expect(binned).to_contain_text("by Ada")
+    viewer.page.wait_for_timeout(1000)
+    binned.get_by_test_id("bin-restore").click()
+    expect(row).to_have_count(1)
+    expect(binned).to_have_count(0)
+    assert all(path.exists() for path in paths)
+    for path in paths:
+        path.unlink()
+
+
+def test_an_admin_empties_the_bin_after_a_question(service, watch):
+    service.http.delete("/api/bin", params={"by": "Ada"})
+    (service.data / "recordings" / "last.lvm").write_text("LabVIEW Measurement\n")
+    service.http.delete("/api/recordings/last.lvm", params={"by": "Ada"})
+    viewer = watch(service.url + "/recordings")
+    viewer.page.evaluate("localStorage.setItem('graspwatch-person', 'Grace')")
+    expect(viewer.at("bin")).to_contain_text("last.lvm")
+    viewer.at("bin-empty").dblclick()
+    viewer.page.wait_for_timeout(1000)
+    assert len(service.http.get("/api/bin").json()["recordings"]) == 1
+    viewer.at("bin").get_by_test_id("confirm-yes").click()
+    expect(viewer.at("bin-count")).to_have_text("Nothing is in the bin.")
+    assert service.http.get("/api/bin").json()["recordings"] == []
+    assert service.http.get("/api/audit", params={"kind": "emptied"}).json()[0]["by"] == "Grace"
+
+
+def overlap(one, other):
+    """Whether two boxes of the page have a place in common."""
+    return all(
+        one[at] < other[at] + other[size] and other[at] < one[at] + one[size]
+        for at, size in (("x", "width"), ("y", "height"))
+    )
 
 
 def test_recordings_are_listed_found_and_opened(service, watch):

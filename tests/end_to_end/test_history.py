@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import httpx
@@ -144,6 +145,100 @@ def test_an_admin_deletes_a_recording_and_it_is_written_down(service: Service) -
     assert (file["name"], file["deleted_by"]) == ("gone.lvm", "Ada")
     written = (service.data / "journal.jsonl").read_text().splitlines()
     assert any(json.loads(each)["kind"] == "deleted" for each in written if "gone.lvm" in each)
+
+
+def test_a_deleted_recording_is_in_the_bin_and_comes_back(service: Service) -> None:
+    path = recording(service, "back.lvm")
+    content = path.read_bytes()
+    page = until(lambda: reported(service, "back.lvm"), 60.0)
+    assert "back.lvm" in page.text
+    assert len(list((service.data / "reports").glob("*.html"))) == 1
+    service.http.delete("/api/recordings/back.lvm", params={"by": "Ada"})
+    assert not list((service.data / "reports").glob("*.html"))
+    listed = get(service, "/api/bin").json()
+    [binned] = [each for each in listed["recordings"] if each["name"] == "back.lvm"]
+    assert (binned["size_bytes"], binned["deleted_by"], listed["keep_days"]) == (len(content), "Ada", 30.0)
+    assert listed["size_bytes"] == sum(each["size_bytes"] for each in listed["recordings"])
+    age = datetime.fromisoformat(binned["expires_at"]) - datetime.fromisoformat(binned["deleted_at"])
+    assert age == timedelta(days=30)
+
+    restore = f"/api/bin/{binned['entry']}/restore"
+    assert service.http.post(restore).status_code == 422  # nobody signs for it
+    path.write_text("another one by now\n")
+    taken = service.http.post(restore, params={"by": "Grace"})
+    assert (taken.status_code, path.read_text()) == (409, "another one by now\n")
+    path.unlink()
+    back = service.http.post(restore, params={"by": "Grace"})
+    assert (back.status_code, back.json()["deleted_at"], path.read_bytes()) == (200, None, content)
+    assert service.http.post(restore, params={"by": "Grace"}).status_code == 404
+    assert "back.lvm" in [each["name"] for each in get(service, "/api/recordings").json()["recordings"]]
+    assert [each["deleted_at"] for each in get(service, "/api/files", q="back.lvm").json()] == [None]
+    [line] = get(service, "/api/audit", kind="restored", q="back.lvm").json()
+    assert line["by"] == "Grace"
+
+
+def reported(service: Service, name: str) -> httpx.Response | None:
+    answer = service.http.get(f"/api/recordings/{name}/report")
+    return answer if answer.status_code == 200 else None
+
+
+@pytest.mark.parametrize("entry", ["..", "%2e%2e%2frecordings", "20260101T000000000000Z", "bin", "x" * 300, "%00"])
+def test_no_other_name_is_an_entry_of_the_bin(service: Service, entry: str) -> None:
+    answer = service.http.post(f"/api/bin/{entry}/restore", params={"by": "Ada"})
+    assert answer.status_code in (404, 405)
+
+
+def test_a_run_that_was_deleted_and_restored_is_whole_also_after_a_rebuild_meanwhile(tmp_path: Path) -> None:
+    with Service("serve", data=tmp_path) as before:
+        run = before.run(protocol="trapezoid_4hz", cycles=1, tissue="liver")["id"]
+        before.finished(run)
+        until(lambda: before.http.get("/api/files", params={"run": run}).json())
+        grasps = before.http.get(f"/api/runs/{run}/grasps").json()
+        assert before.http.delete(f"/api/recordings/{run}.mcap", params={"by": "Ada"}).status_code == 204
+        deleted = before.http.get("/api/files").json()
+        assert deleted[0]["deleted_by"] == "Ada"
+    rebuild_index(tmp_path)
+    with Service("serve", data=tmp_path) as after:
+        assert after.http.get("/api/files").json() == deleted
+        assert after.http.get(f"/api/runs/{run}/grasps").json() == grasps
+        [binned] = after.http.get("/api/bin").json()["recordings"]
+        assert binned["deleted_by"] == "Ada"
+        restored = after.http.post(f"/api/bin/{binned['entry']}/restore", params={"by": "Ada"})
+        assert restored.json() == deleted[0] | {"deleted_at": None, "deleted_by": None}
+        known = after.http.get("/api/files").json()
+    rebuild_index(tmp_path)
+    with Service("serve", data=tmp_path) as again:
+        assert again.http.get("/api/files").json() == known == [restored.json()]
+
+
+def rebuild_index(data: Path) -> None:
+    done = subprocess.run([PROGRAM, "index", "--rebuild", "--data", data], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_is_too_old_or_emptied_is_gone_for_good_and_written_down(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    for entry, name in (("20200101T000000000000Z", "old.lvm"), (f"{datetime.now(UTC):%Y%m%dT%H%M%S%fZ}", "new.lvm")):
+        write_lvm(make(folder / "bin" / entry) / name, SIMULATED)
+    with Service("serve", data=tmp_path) as running:
+        until(lambda: not (folder / "bin" / "20200101T000000000000Z").exists())
+        assert [each["name"] for each in running.http.get("/api/bin").json()["recordings"]] == ["new.lvm"]
+        size_bytes = running.http.get("/api/bin").json()["size_bytes"]
+        assert running.http.delete("/api/bin").status_code == 422  # nobody signs for it
+        emptied = running.http.delete("/api/bin", params={"by": "Ada"})
+        assert emptied.json() == {"removed": 1, "freed_bytes": size_bytes}
+        assert running.http.get("/api/bin").json()["recordings"] == []
+        assert not list((folder / "bin").iterdir())
+        lines = running.http.get("/api/audit", params={"kind": "emptied", "order": "oldest"}).json()
+        assert [("old.lvm" in line["text"], line["by"]) for line in lines] == [(True, None), (False, "Ada")]
+        assert "after 30 days" in lines[0]["text"]
+        [deed] = running.http.get("/api/audit", params={"kind": "request", "q": "empty"}).json()[:1]
+        assert (deed["by"], deed["result"]) == ("Ada", "done")
+
+
+def make(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    return folder
 
 
 @pytest.mark.parametrize("headers", [{"X-Forwarded-For": "192.0.2.7"}, {"Host": "evil.example"}, {"Via": "1.1 proxy"}])

@@ -1,30 +1,15 @@
-import { create, setText } from "../dom";
+import { create } from "../dom";
 import { deletePath, messageOf } from "../live/rest";
 import type { Person } from "../shell/person";
+import { askFirst } from "./confirm";
 
-const ARMED_MS = 5000;
-
-/** Deletes a recording on the second press. No question holds the page up: STOP must work. */
-export function deleteButton(name: string, person: Person, told: (text: string | null) => void): HTMLButtonElement {
+/** A button that deletes a recording, and the question that it asks first, which stands at another place. */
+export function deleteButton(name: string, person: Person, told: (text: string | null) => void): [HTMLElement, HTMLElement] {
   const button = create("button", "action needs-admin", "Delete");
   button.type = "button";
   button.dataset.testid = "recording-delete";
   button.ariaLabel = `Delete ${name}`;
-  let armed: number | undefined;
-  const disarm = (): void => {
-    window.clearTimeout(armed);
-    armed = undefined;
-    setText(button, "Delete");
-    button.ariaLabel = `Delete ${name}`;
-  };
-  button.addEventListener("click", () => {
-    if (armed === undefined) {
-      armed = window.setTimeout(disarm, ARMED_MS);
-      setText(button, "For good?");
-      button.ariaLabel = `Delete ${name} for good`;
-      return;
-    }
-    disarm();
+  const question = askFirst(button, `Move ${name} to the bin?`, "Move to the bin", () => {
     person.withName((by) => {
       deletePath(`/api/recordings/${encodeURIComponent(name)}?by=${encodeURIComponent(by)}`).then(
         () => told(null),
@@ -32,5 +17,5 @@ export function deleteButton(name: string, person: Person, told: (text: string |
       );
     });
   });
-  return button;
+  return [button, question];
 }

@@ -6,6 +6,7 @@ import type { Person } from "../shell/person";
 import type { Page } from "../shell/router";
 import type { RecordingInfo, Recordings } from "../wire";
 import "../styles/pages.css";
+import { BinSection } from "./bin";
 import { deleteButton } from "./delete";
 import { Polled } from "./polled";
 import markup from "./recordings.html?raw";
@@ -24,6 +25,7 @@ export class RecordingsPage implements Page {
   private readonly filter: HTMLInputElement;
   private readonly rows: Rows<RecordingInfo>;
   private readonly polled: Polled<Recordings>;
+  private readonly bin: BinSection;
   private recordings: RecordingInfo[] = [];
   private column: Column = "modified_at";
   private descending = true;
@@ -37,22 +39,29 @@ export class RecordingsPage implements Page {
     this.filter = byId<HTMLInputElement>("recordings-filter");
     this.filter.addEventListener("input", () => this.show());
     for (const button of this.sortButtons()) button.addEventListener("click", () => this.sortBy(button.dataset.column as Column));
-    this.rows = new Rows(byId("recordings-body"), ({ name }) => name, (recording) => makeRow(recording, deleteButton(recording.name, person, (text) => this.tell(text))));
+    this.rows = new Rows(byId("recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.tell(text))));
     const section = byId("recordings");
     this.polled = new Polled({ path: "/api/recordings", what: "The list", section, take: (answer) => this.take(answer) });
+    this.bin = new BinSection(person, () => this.polled.now(), (text) => this.showTold(text));
   }
 
   render(): void {}
 
   close(): void {
     this.polled.close();
+    this.bin.close();
   }
 
   /** Why something was not deleted; null: it was. */
   private tell(text: string | null): void {
+    this.showTold(text);
+    this.polled.now();
+    this.bin.now();
+  }
+
+  private showTold(text: string | null): void {
     setText(byId("recordings-told"), text ?? "");
     setHidden(byId("recordings-told"), text === null);
-    this.polled.now();
   }
 
   private take({ folder, recordings }: Recordings): number {
@@ -105,7 +114,7 @@ function compare(a: RecordingInfo, b: RecordingInfo, column: Column, descending:
   return (descending ? -order : order) || a.name.localeCompare(b.name, "en", { numeric: true });
 }
 
-function makeRow({ name }: RecordingInfo, remove: HTMLElement): Row<RecordingInfo> {
+function makeRow({ name }: RecordingInfo, remove: HTMLElement, question: HTMLElement): Row<RecordingInfo> {
   const element = create("tr");
   const address = encodeURIComponent(name);
   const link = create("a", "row-link", name);
@@ -124,7 +133,7 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement): Row<RecordingInf
   download.download = name;
   download.ariaLabel = `Download ${name}`;
   const what = headCell("what");
-  what.append(link, run, small, problem);
+  what.append(link, run, small, problem, question);
   const actions = create("td", "actions");
   const buttons = create("div");
   buttons.append(replay, report, download, remove);

@@ -1,0 +1,81 @@
+import { byId, create, setHidden, setText } from "../dom";
+import { bytes } from "../format";
+import { deletePath, messageOf, postJson } from "../live/rest";
+import type { Person } from "../shell/person";
+import type { BinContent, BinnedRecording } from "../wire";
+import { askFirst, onSinglePress } from "./confirm";
+import { Polled } from "./polled";
+import { dateTime, headCell, moment, Rows, type Row } from "./rows";
+
+const EVERY_MS = 10_000;
+
+/** Deleted recordings: what they are, until when they can come back, and making room for good. */
+export class BinSection {
+  private readonly rows: Rows<BinnedRecording>;
+  private readonly polled: Polled<BinContent>;
+
+  /** `changed` hears that a recording came back, and `told` why something was not done. */
+  constructor(
+    private readonly person: Person,
+    private readonly changed: () => void,
+    private readonly told: (text: string | null) => void,
+  ) {
+    this.rows = new Rows(byId("bin-body"), ({ entry }) => entry, (recording) => this.makeRow(recording));
+    const empty = byId<HTMLButtonElement>("bin-empty");
+    byId("bin-confirm").append(askFirst(empty, "Remove all of these for good?", "Remove for good", () => this.empty()));
+    this.polled = new Polled({ path: "/api/bin", what: "The bin", section: byId("bin"), take: (content) => this.take(content) });
+  }
+
+  now(): void {
+    this.polled.now();
+  }
+
+  close(): void {
+    this.polled.close();
+  }
+
+  private take({ recordings, size_bytes: size, keep_days: days }: BinContent): number {
+    const none = recordings.length === 0;
+    this.rows.show(recordings);
+    setText(byId("bin-note"), `What is deleted stays here for ${days} days, and takes room on the disk as long.`);
+    setText(byId("bin-count"), none ? "Nothing is in the bin." : `${recordings.length} in the bin, ${bytes(size)}`);
+    for (const id of ["bin-box", "bin-tools"]) setHidden(byId(id), none);
+    return EVERY_MS;
+  }
+
+  private makeRow(recording: BinnedRecording): Row<BinnedRecording> {
+    const { entry, name, deleted_at: at, deleted_by: by, expires_at: until, size_bytes: size } = recording;
+    const [element, what, when, actions] = [create("tr"), headCell("what"), create("td"), create("td", "actions")];
+    when.append(moment(at, dateTime(at)), create("small", "", by === null ? "" : `by ${by}`));
+    const expires = create("td", "roomy");
+    expires.append(moment(until, dateTime(until)));
+    const restore = create("button", "action needs-admin", "Restore");
+    restore.type = "button";
+    restore.dataset.testid = "bin-restore";
+    restore.ariaLabel = `Restore ${name}`;
+    onSinglePress(restore, () => {
+      this.person.withName((who) => {
+        const path = `/api/bin/${encodeURIComponent(entry)}/restore?by=${encodeURIComponent(who)}`;
+        this.does(postJson(path), `${name} was not restored`);
+      });
+    });
+    what.append(create("span", "", name));
+    actions.append(restore);
+    element.append(what, when, expires, create("td", "number roomy", bytes(size)), actions);
+    return { element };
+  }
+
+  private empty(): void {
+    this.person.withName((who) => {
+      this.does(deletePath(`/api/bin?by=${encodeURIComponent(who)}`), "The bin was not emptied");
+    });
+  }
+
+  private does(asked: Promise<unknown>, failed: string): void {
+    asked.then(
+      () => this.told(null),
+      (error: unknown) => this.told(`${failed}: ${messageOf(error)}`),
+    );
+    void asked.catch(() => undefined).then(() => (this.now(), this.changed()));
+  }
+}
