@@ -38,6 +38,7 @@ SAMPLE = np.dtype(
         ("jaw_force_filtered_n", "f8"),  # after the Butterworth filter: what people look at
         ("jaw_displacement_filtered_m", "f8"),
         ("tissue_displacement_m", "f8"),  # since contact; NaN while nothing is held
+        ("limit_n", "f8"),  # under which the limiter held the force meanwhile; NaN where nothing limits it
         ("grasp", "i8"),  # 1, 2, ...; 0 before the first
         ("grasp_start_tick", "i8"),  # where the command left zero; -1 before the first
         ("contact_tick", "i8"),  # -1 while nothing is held

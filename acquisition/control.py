@@ -136,6 +136,8 @@ class Acquisition:
     def _end_run(self, event: Event, end: RunEnd, why: str) -> bool:
         self._write(0.0)
         self._held = 0
+        if self._hold_back is not None:
+            self._hold_back.rest()
         self._happens(event)
         if not self.running:
             return False
@@ -161,7 +163,9 @@ class Acquisition:
             return None
         if self.running and self._player.begins:
             self._watch.begin_anew()  # with the tare
-        block = self._pipeline.process(replace(raw, limiter=self._held, run=self._run_id if self.running else ""))
+        limit_n = self._hold_back.limit_n if self._hold_back else math.nan
+        run_id = self._run_id if self.running else ""
+        block = self._pipeline.process(replace(raw, limiter=self._held, limit_n=limit_n, run=run_id))
         self._self_test.take(block.samples)
         tare = self._pipeline.tare
         lost = self._watch.judge(block.samples, tare.rest_v if tare.measured else math.nan)

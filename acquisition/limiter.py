@@ -92,7 +92,7 @@ class HoldBack:
         self._margin = settings.margin
         self._threshold = ThresholdInForce(library, round(settings.limit_expires_s * rate_hz))
         self._followed: deque[float] = deque(maxlen=1 + round(FOLLOW_S / self._block_s))  # thresholds, by block
-        self._limit_n = settings.margin * library.lowest_threshold_n
+        self._lowest_limit_n = self._limit_n = settings.margin * library.lowest_threshold_n
         self._expected = ExpectedForce(tool)
         self._strength = 1.0  # of the tool, in proportion to its map
         self._begins_with = 1.0  # a grasp that had to be let go teaches the following ones how strong the tool is
@@ -102,6 +102,15 @@ class HoldBack:
         self._over_blocks = 0  # in a row whose force was over the limit
         self._command_v = 0.0
         self.why_let_go: str | None = None  # not None: the command stays at zero until the protocol asks for that, too
+
+    @property
+    def limit_n(self) -> float:
+        """The limit under which the force is held from the last judgement to the next, N."""
+        return self._limit_n
+
+    def rest(self) -> None:
+        """No protocol plays: the next one begins under the lowest limit."""
+        self._limit_n = self._lowest_limit_n
 
     def allow(self, threshold_n: float, tick: int) -> None:
         """The injury threshold, N, that the samples up to `tick` speak for; it counts until it expires."""

@@ -101,6 +101,7 @@ class Pipeline:
         samples["flags"] |= np.where(jaw.valid[0], NOTHING, INVALID)
         samples["flags"] |= np.where(jaw.valid[1], NOTHING, FILTERED_INVALID)
         samples["flags"] |= np.asarray(raw.limiter, np.uint16)
+        samples["limit_n"] = raw.limit_n
         samples["flags"] |= np.where(np.abs(raw.strain_v) < self._saturated_v, NOTHING, SATURATED)
         samples["tissue_displacement_m"] = self._since_contact(samples)
 

@@ -1,5 +1,6 @@
 """Where raw samples come from: the one interface that the board and the recordings share."""
 
+import math
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -13,7 +14,8 @@ class RawBlock:
 
     `first_tick` counts samples since the source was opened, lost ones included, so that a gap is
     visible as `first_tick` running ahead; `lost_samples` says how many went missing right before.
-    `limiter` holds the limiter's flags of each sample, or of all; `run` says which run they belong to, if any.
+    `limiter` holds the limiter's flags of each sample, or of all, and `limit_n` the limit that it enforced meanwhile, N
+    (NaN: none); `run` says which run they belong to, if any.
     """
 
     first_tick: int
@@ -25,6 +27,7 @@ class RawBlock:
     touch_2_v: np.ndarray
     lost_samples: int = 0
     limiter: np.ndarray | int = 0
+    limit_n: np.ndarray | float = math.nan
     run: str = ""
 
     def __len__(self) -> int:

@@ -15,6 +15,7 @@ SAMPLE_COLUMNS = {
     "jaw_displacement_m": "m",
     "jaw_displacement_filtered_m": "m",
     "tissue_displacement_m": "m",
+    "limit_n": "N",
 }
 ESTIMATE_COLUMNS = {"threshold_n": "N", "probability_unknown": ""}
 TISSUE_COLUMNS = {"probability": "", "force_n": "N", "alpha_n": "N", "beta_per_m": "1/m", "damping_kg_per_s": "kg/s"}

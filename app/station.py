@@ -57,6 +57,7 @@ from app.wire import (
 from config.errors import GraspwatchError, RefusedError, ServiceError
 from config.load import holdable
 from config.schema import Protocol, ToolKind
+from estimator.blocks import finite
 from estimator.worker import unpack_estimates
 
 GRASPS_TOLD = 200  # of the last run, to a viewer who comes
@@ -101,6 +102,7 @@ class Station:
         self._lost_s = 0.0
         self._free_bytes = free_bytes(plan.data)
         self._last_tick = -1
+        self._limit_n: float | None = None
         self._fault_texts: dict[str, str] = {}
         self.followers: list[Callable[[SampleBlock], None]] = []  # get every block
         self.realtime: dict[str, str] = {}  # what the system granted each worker
@@ -277,6 +279,7 @@ class Station:
             self.tell_state()
         missing = self._samples.take(block.sequence, block.t_mono_ns)
         self._last_tick = int(block.samples["tick"][-1])
+        self._limit_n = finite(float(block.samples["limit_n"][-1]))
         self.watchdog.heard("acquisition")
         self._rate.append((time.monotonic(), len(block.samples)))
         self._measure_lateness(block)
@@ -537,6 +540,7 @@ class Station:
             safety_why=self.arming.why or None,
             run=self.runs.current,
             last_run=self.runs.last,
+            limit_n=self._limit_n,
             simulated_tissue=self.simulated_tissue,
             demo=self.demo,
             control=self._control(),

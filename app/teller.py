@@ -49,7 +49,8 @@ class Teller:
         message = Identification(server_time_ms=at_ms, **asdict(block.identification))
         before, self.identification = self.identification, message
         if message.holding_back and not self._held_back:
-            text = f"The limiter holds the motor back at {message.hold_n:.2f} N"
+            at = "" if message.limit_n is None else f" at {message.limit_n:.2f} N"
+            text = f"The limiter holds the motor back{at}"
             self._tell(EventMessage(server_time_ms=at_ms, text=text))
         self._held_back |= message.holding_back
         changed = before is None or _answer(before) != _answer(message)

@@ -19,7 +19,7 @@ from acquisition.safety import Safety
 from config.schema import ToolKind
 from estimator.alarms import Priority
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 # magic, kind, stride (reserved, 1), columns, rows, sequence, first_tick, newest_ms
 FRAME_HEADER = struct.Struct("<4sBBHIIdd")
@@ -223,6 +223,9 @@ class Grasp(Wire):
     why_invalid: str | None
     alarms: list[Priority] = Field(description="Force warnings during it, the highest of each rise")
     held_back: bool = Field(description="Whether the limiter held the motor back")
+    peak_share_of_limit: float | None = Field(
+        None, description="Highest share of the force in the limit that was enforced meanwhile; null: none was"
+    )
 
 
 class Hello(Wire):
@@ -262,6 +265,7 @@ class State(Wire):
     safety_why: str | None = Field(description="Why it is faulted, or was not armed")
     run: Run | None
     last_run: Run | None
+    limit_n: float | None = Field(description="Limit that the limiter enforces now, N; null: nothing does")
     simulated_tissue: str | None
     demo: str | None = Field(description="What the demonstration is showing; null when there is none")
     control: str | None = Field(description="Who holds the tool: who has control, else who started the run under way")
@@ -289,11 +293,11 @@ class Identification(Wire):
     time_to_decision_s: float | None
     force_n: float | None
     peak_force_n: float | None
-    threshold_n: float = Field(description="Injury threshold in force")
+    threshold_n: float = Field(description="Injury threshold by which force alarms are judged; no limit of the motor")
     threshold_tissue: str | None = Field(description="Whose threshold; null: the lowest of the library")
-    hold_n: float = Field(description="Where the limiter holds the force: a share of the threshold in force")
+    limit_n: float | None = Field(description="Limit that the limiter enforces, as it says itself; null: nothing does")
     holding_back: bool = Field(description="Whether the limiter is holding the motor back")
-    time_to_limit_s: float | None = Field(description="Forecast while the force rises; null: not rising towards it")
+    time_to_limit_s: float | None = Field(description="Until the limit is reached, while the force rises; else null")
     thickness_m: float | None = Field(description="Of what is held, where the tool can measure it at contact")
     convergence_s: dict[str, float | None]
     force_error_n: dict[str, float | None]
@@ -316,7 +320,7 @@ class Alarm(Wire):
     latched: bool = Field(description="Whether it stays until somebody has acknowledged it")
     text: str
     value: float | None = Field(description="What passed the limit; after that the highest so far")
-    limit: float | None
+    limit: float | None = Field(description="What it is judged against: of force alarms the injury threshold")
     unit: str | None
     began_ms: float
     ended_ms: float | None = Field(description="When its cause went away")

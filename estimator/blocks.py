@@ -15,7 +15,7 @@ def estimate_dtype(tissues: int) -> np.dtype:
             ("tick", "i8"),
             ("probability", "f8", each),
             ("probability_unknown", "f8"),
-            ("threshold_n", "f8"),  # injury threshold in force
+            ("threshold_n", "f8"),  # injury threshold by which force alarms are judged
             ("force_n", "f8", each),  # alpha (exp(beta x) - 1) of each filter
             ("alpha_n", "f8", each),
             ("beta_per_m", "f8", each),
@@ -48,11 +48,11 @@ class Identification:
     time_to_decision_s: float | None
     force_n: float | None
     peak_force_n: float | None
-    threshold_n: float
+    threshold_n: float  # by which force alarms are judged
     threshold_tissue: str | None
-    hold_n: float  # the limit under which the limiter holds the force
+    limit_n: float | None  # that the limiter enforced while the sample was taken, as it says itself
     holding_back: bool
-    time_to_limit_s: float | None  # forecast while the force rises towards the threshold
+    time_to_limit_s: float | None  # forecast while the force rises towards that limit
     thickness_m: float | None  # of what is held, measured at contact
     convergence_s: dict[str, float | None]
     force_error_n: dict[str, float | None]
@@ -79,6 +79,7 @@ class GraspRecord:
     force_error_n: dict[str, float | None]
     valid: bool
     why_invalid: str | None
+    peak_share_of_limit: float | None = None  # of the force in the limit that the limiter enforced meanwhile
 
 
 @dataclass(frozen=True, slots=True)

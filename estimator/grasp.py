@@ -54,7 +54,7 @@ class GraspEstimation:
         self.names = bank.priors.names
         self.decision = Decision((*self.names, UNKNOWN), settings, rate_hz)
         self.probabilities = evidence.prior
-        self.peak_n, self.peak_m = np.nan, np.nan
+        self.peak_n, self.peak_m, self.peak_share = np.nan, np.nan, np.nan
         self.contact_tick, self._contact_m = -1, np.nan
         self._last_tick = -1  # of the last sample that the filters took
         self._held_before = held_before
@@ -232,4 +232,5 @@ class GraspEstimation:
             force_error_n=error,
             valid=why_invalid is None,
             why_invalid=why_invalid,
+            peak_share_of_limit=finite(self.peak_share),
         )

@@ -81,7 +81,6 @@ class EstimationSession:
         self._thresholds = {name: library.threshold_n(name) for name in library.tissues}
         self._lowest_n = library.lowest_threshold_n
         self._settings = settings.identification
-        self._margin = settings.limiter.margin
         self._opening_m = tool.geometry.opening_m
         self.bank = Bank.of(tool, library)
         self.evidence = Evidence(self.bank, library, self._settings)
@@ -210,6 +209,9 @@ class EstimationSession:
         samples, last = window[-len(rows) :], window[-1]
         grasp.flags |= int(np.bitwise_or.reduce(samples["flags"]))
         grasp.peak_n = np.fmax(grasp.peak_n, np.fmax.reduce(samples["jaw_force_filtered_n"]))
+        grasp.peak_share = np.fmax(
+            grasp.peak_share, np.fmax.reduce(samples["jaw_force_filtered_n"] / samples["limit_n"])
+        )
         grasp.peak_m = np.fmax(grasp.peak_m, np.fmax.reduce(samples["tissue_displacement_m"]))
         if last["wall_tick"] >= 0 and not grasp.over:
             grasp.shut(int(last["wall_tick"]), int(last["contact_tick"]))
@@ -287,18 +289,21 @@ class EstimationSession:
             peak_force_n=finite(grasp.peak_n) if grasp else None,
             threshold_n=threshold_n,
             threshold_tissue=tissue,
-            hold_n=self._margin * threshold_n,
+            limit_n=finite(float(last["limit_n"])),
             holding_back=bool(last["flags"] & HELD_BACK),
-            time_to_limit_s=self._time_to_limit_s(threshold_n),
+            time_to_limit_s=self._time_to_limit_s(float(last["limit_n"])),
             thickness_m=grasp.thickness_m if grasp else None,
             convergence_s=self._criteria[0],
             force_error_n=self._criteria[1],
         )
 
-    def _time_to_limit_s(self, threshold_n: float) -> float | None:
-        """Until the force reaches the threshold, s, if it goes on as over the last samples; None between grasps."""
+    def _time_to_limit_s(self, limit_n: float) -> float | None:
+        """Until the force reaches the limit, s, if it goes on as over the last samples; None between grasps, and where
+        nothing limits the force (NaN)."""
         recent, n = self._recent, self._forecast.samples
-        if not self._in_grasp or len(recent) < n or recent["tick"][-1] - recent["tick"][-n] != n - 1:
+        if not self._in_grasp or math.isnan(limit_n):
+            return None
+        if len(recent) < n or recent["tick"][-1] - recent["tick"][-n] != n - 1:
             return None
         noise_sd_n = abs(float(recent["newton_per_volt"][-1])) * math.sqrt(self._strain_var_v2)
-        return self._forecast.time_to_s(recent["jaw_force_n"][-n:], threshold_n, noise_sd_n)
+        return self._forecast.time_to_s(recent["jaw_force_n"][-n:], limit_n, noise_sd_n)

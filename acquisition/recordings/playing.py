@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from acquisition.recordings.container import ANOTHER_COPY, MAGIC, Container
-from acquisition.recordings.layout import RAW, RAW_ROWS, SIGNALS, TOOL
+from acquisition.recordings.layout import LIMIT, RAW, RAW_ROWS, SIGNALS, TOOL
 from acquisition.recordings.lvm import LONGEST_S, read_lvm
 from acquisition.source import RawBlock
 from config.errors import RecordingError
@@ -24,13 +24,15 @@ STEP_SAMPLES = 5  # whoever follows works in steps that end at ticks that are mu
 class _Recorded:
     """Raw samples. Ticks count from the recording's first sample.
 
-    `signals`: of shape (5, n), in the order of SIGNALS; `limiter`: the limiter's flags, (n,); `ends`: rows behind which
+    `signals`: of shape (5, n), in the order of SIGNALS; `limiter`: the limiter's flags, (n,); `limit_n`: what it
+    enforced, (n,), NaN where that is not recorded; `ends`: rows behind which
     a block ended where nothing else tells it; `runs`: for each row at which a run begins, which.
     """
 
     ticks: np.ndarray
     signals: np.ndarray
     limiter: np.ndarray
+    limit_n: np.ndarray
     ends: np.ndarray
     runs: dict[int, str]
 
@@ -65,9 +67,10 @@ class Recording:
             table = read_lvm(self.path, self.tool)
             ticks = np.round((table[:, 0] - table[0, 0]) * self.tool.board.sample_rate_hz).astype(np.int64)
             signals = np.ascontiguousarray(table[:, [1, 5, 2, 3, 4]].T)
-            return _Recorded(ticks, signals, np.zeros(len(ticks), np.uint16), np.zeros(0, np.int64), {})
+            held, limit_n = np.zeros(len(ticks), np.uint16), np.full(len(ticks), np.nan)
+            return _Recorded(ticks, signals, held, limit_n, np.zeros(0, np.int64), {})
         rows = self.container.rows(RAW)
-        missing = {column.path for column in RAW_ROWS.columns} - set(rows.columns)
+        missing = {column.path for column in RAW_ROWS.columns} - set(rows.columns) - {LIMIT}
         if missing:
             raise RecordingError(f"{self.path}: lacks {', '.join(sorted(missing))}: not all that a replay needs.")
         ticks, about = rows.columns["tick"], self.container.about
@@ -83,7 +86,8 @@ class Recording:
         signals = np.array([rows.columns[name] for name in SIGNALS])
         runs = {begins: run_id} if begins < len(ticks) else {}
         limiter = rows.columns["limiter_flags"].astype(np.uint16)
-        return _Recorded(ticks - self.first_tick, signals, limiter, ends, runs)
+        limit_n = rows.columns.get(LIMIT, np.full(len(ticks), np.nan))
+        return _Recorded(ticks - self.first_tick, signals, limiter, limit_n, ends, runs)
 
     def __enter__(self) -> Self:
         self._started = time.monotonic()
@@ -124,7 +128,7 @@ class Recording:
             time.sleep(max(due - time.monotonic(), 0.0))
         return RawBlock(
             int(ticks[0]), time.monotonic_ns(), *recorded.signals[:, at:end], lost_samples=lost,
-            limiter=recorded.limiter[at:end], run=self._run,
+            limiter=recorded.limiter[at:end], limit_n=recorded.limit_n[at:end], run=self._run,
         )  # fmt: skip
 
     def _end_of_block(self, at: int) -> int:

@@ -98,7 +98,7 @@ class Player:
     def _state(self) -> State:
         return State(
             server_time_ms=self._at_ms, phase=Phase.REPLAY, safety=Safety.DISARMED, safety_why=None,
-            run=None, last_run=None, simulated_tissue=None, demo=None,
+            run=None, last_run=None, limit_n=None, simulated_tissue=None, demo=None,
             control=None, rate_hz=self._film.rate_hz, lost_samples=self._film.lost_samples(self._head.shown),
             estimator_latency_ms=None, viewers=self._showing.viewers, recording=NO_RECORDER,
             free_disk_bytes=free_bytes(self._plan.data), faults=self._film.faults(self._head.shown),

@@ -12,8 +12,8 @@ from estimator.decision import UNDECIDED
 from estimator.studies.page import WORDS, Markup, rows
 
 COLUMNS = ["grasp", "force", "start, s", "verdict", "probability", "decided after, ms", "peak force, N",
-           "peak displacement, mm", "α, N", "β, 1/m", "d, kg/s", "convergence, s", "force error, N", "warnings",
-           "remarks"]  # fmt: skip
+           "of the limit", "peak displacement, mm", "α, N", "β, 1/m", "d, kg/s", "convergence, s", "force error, N",
+           "warnings", "remarks"]  # fmt: skip
 IN_WORDS = {"force", "start, s", "verdict", "probability", "warnings", "remarks"}
 
 
@@ -36,18 +36,20 @@ def grasp_table(report: Report, drawn: int) -> str:
     head = "".join(f'<th scope="col"{WORDS if name in IN_WORDS else ""}>{html.escape(name)}</th>' for name in COLUMNS)
     return (
         '<div class="grasps" tabindex="0" role="group" aria-label="All grasps"><table><caption>Convergence and force '
-        "error are of the filter of what was held. Dashed in the force: the injury threshold.</caption>"
+        "error are of the filter of what was held. Dashed in the force: the limit that the limiter enforced, of which its "
+        "peak is a share; none where the recording does not say it.</caption>"
         f"<thead><tr>{head}</tr></thead><tbody>{''.join(parts)}</tbody></table></div>"
     )
 
 
 def _cells(report: Report, story: Story, record: GraspRecord, observation: Observation, most_n: float) -> list:
     traces = story.during(record)
-    drawn = spark(traces["tick"], traces["jaw_force_filtered_n"], traces["threshold_n"], most_n)
+    drawn = spark(traces["tick"], traces["jaw_force_filtered_n"], traces["limit_n"], most_n)
     decided, moved = record.time_to_decision_s, record.peak_displacement_m
     return [
         Markup(drawn), f"{record.start_s:.3f}", _verdict(report.looks[record.label]), _percent(record.probability),
-        None if decided is None else round(1e3 * decided), record.peak_force_n, None if moved is None else 1e3 * moved,
+        None if decided is None else round(1e3 * decided), record.peak_force_n,
+        _percent_of_limit(record.peak_share_of_limit), None if moved is None else 1e3 * moved,
         record.alpha_n, record.beta_per_m, record.damping_kg_per_s, observation.convergence_s,
         observation.force_error_n, _warnings(story, record), _remarks(report, story, record, observation),
     ]  # fmt: skip
@@ -63,6 +65,10 @@ def _percent(share: float | None) -> str | None:
     if share is None:
         return None
     return "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
+
+
+def _percent_of_limit(share: float | None) -> str | None:
+    return None if share is None else f"{100 * share:.0f} %"
 
 
 def _warnings(story: Story, record: GraspRecord) -> str:

@@ -53,7 +53,8 @@ def channels(library: TissueLibrary, looks: dict[str, Look]) -> list[Channel]:
     found = [
         Channel("unfiltered", FORCE, column("jaw_force_n"), {"color": RAW, "width": 1}),
         Channel("force", FORCE, column("jaw_force_filtered_n"), {"color": INK, "width": 1.8}),
-        Channel("injury threshold", FORCE, column("threshold_n"), {"color": INK, "width": 1.2, "dash": "dash"}),
+        Channel("limit enforced", FORCE, column("limit_n"), {"color": INK, "width": 1.2, "dash": "dash"}),
+        Channel("alarm threshold", FORCE, column("threshold_n"), {"color": RAW, "width": 1.2, "dash": "dot"}),
         Channel("jaws", DISPLACEMENT, column("jaw_displacement_filtered_m", 1e3), {"color": RAW, "width": 1}),
         Channel("tissue", DISPLACEMENT, column("tissue_displacement_m", 1e3), {"color": INK, "width": 1.8}),
     ]

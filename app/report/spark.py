@@ -7,8 +7,8 @@ from app.report.traces import Grid
 WIDTH, HEIGHT, POINTS = 130, 34, 70
 
 
-def spark(ticks: np.ndarray, force_n: np.ndarray, threshold_n: np.ndarray, most_n: float) -> str:
-    """SVG of a force, N, (n,) at `ticks`; dashed: the injury threshold at the end. `most_n` is the height."""
+def spark(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray, most_n: float) -> str:
+    """SVG of a force, N, (n,) at `ticks`; dashed: the limit that was enforced at the end. `most_n` is the height."""
     grid = Grid.over(ticks, POINTS)
     points = grid.thin(ticks, force_n)
     if not np.isfinite(points).any() or most_n <= 0:
@@ -24,7 +24,7 @@ def spark(ticks: np.ndarray, force_n: np.ndarray, threshold_n: np.ndarray, most_
         path.append(f"{pen}{at:.0f} {height:.1f}")
         pen = "L"
     limit = ""
-    told_n = threshold_n[np.isfinite(threshold_n)]
+    told_n = limit_n[np.isfinite(limit_n)]
     if len(told_n) and told_n[-1] <= most_n:
         at = HEIGHT - 1 - told_n[-1] * scale
         limit = f'<path class="limit" d="M0 {at:.1f}H{WIDTH}"/>'

@@ -20,7 +20,7 @@ Progress = Callable[[float], None]  # share done
 
 # Single precision and what a report draws: an hour at 1 kHz then takes a third of a gigabyte.
 SIGNALS = ("jaw_force_n", "jaw_force_filtered_n", "jaw_displacement_m", "jaw_displacement_filtered_m",
-           "tissue_displacement_m", "motor_command_v")  # fmt: skip
+           "tissue_displacement_m", "motor_command_v", "limit_n")  # fmt: skip
 ESTIMATES = ("probability", "probability_unknown", "threshold_n", "force_n", "alpha_n", "beta_per_m",
              "damping_kg_per_s")  # fmt: skip
 

@@ -91,8 +91,9 @@ RAMP = Protocol(  # 1.5 N/s beyond 0.8 N
 
 
 @pytest.mark.parametrize("tissue", ["liver", "gallbladder"])
-def test_a_slow_ramp_is_foreseen_with_the_moment_at_which_it_passes_the_threshold(tissue: str) -> None:
+def test_a_slow_ramp_is_foreseen_with_the_moment_at_which_it_passes_the_limit(tissue: str) -> None:
     samples, _ = conditioned(TOOL, SOFT, SETTINGS, RAMP, tissue)
+    samples["limit_n"] = SOFT.lowest_threshold_n
     blocks, _ = processed(EstimationSession(TOOL, SOFT, SETTINGS), samples, by(samples, 5))
     told = {found.tick: found.time_to_limit_s for found in (block.identification for block in blocks)}
     smooth_n = np.convolve(samples["jaw_force_n"], np.full(5, 0.2), "same")
@@ -105,8 +106,16 @@ def test_a_slow_ramp_is_foreseen_with_the_moment_at_which_it_passes_the_threshol
     assert told[max(told)] is None
 
 
+def test_nothing_is_foreseen_where_nothing_limits_the_force() -> None:
+    samples, _ = conditioned(TOOL, SOFT, SETTINGS, RAMP, "gallbladder")
+    blocks, _ = processed(EstimationSession(TOOL, SOFT, SETTINGS), samples, by(samples, 5))
+    assert {(block.identification.limit_n, block.identification.time_to_limit_s) for block in blocks} == {(None, None)}
+    assert [grasp.peak_share_of_limit for block in blocks for grasp in block.ended] == [None]
+
+
 def test_a_gap_in_the_samples_is_no_forecast() -> None:
     samples, _ = conditioned(TOOL, SOFT, SETTINGS, RAMP, "gallbladder")
+    samples["limit_n"] = SOFT.lowest_threshold_n
     middle = int(np.flatnonzero(samples["jaw_force_n"] > 1.1)[0]) // 5 * 5
     cut = np.delete(samples, slice(middle, middle + 5))
     blocks, _ = processed(EstimationSession(TOOL, SOFT, SETTINGS), cut, by(cut, 5))

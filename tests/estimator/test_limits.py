@@ -11,6 +11,7 @@ from acquisition.blocks import Flag
 from acquisition.control import Acquisition
 from acquisition.limiter import AIM_SHARE, HoldBack
 from acquisition.nidaq import NidaqTool
+from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import in_process_options
@@ -31,6 +32,7 @@ class Run:
     samples: np.ndarray
     force_n: np.ndarray  # true, sample by sample
     found: list[Identification]  # block by block
+    limit_n: list[float]  # block by block, that a limiter of our own enforces meanwhile
 
     def before(self, tick: int) -> Identification:
         """What was known when the command for the block that begins at `tick` was set: a block earlier."""
@@ -41,7 +43,8 @@ def run(tissue: str, protocol: str = "strong_2hz", seed: int = 1, cycles: int = 
     grasper = WatchedGrasper(TOOL, LIBRARY, tissue, seed)
     board = SimulatedBoard(TOOL, grasper, VirtualClock())
     session = EstimationSession(TOOL, LIBRARY, SETTINGS)
-    blocks, found = [], []
+    blocks, found, limit_n = [], [], []
+    limiter, player = HoldBack(TOOL, LIBRARY, SETTINGS.limiter), ProtocolPlayer(load_protocol(protocol), TOOL, cycles)
     with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
         acquisition = Acquisition(
             source, TOOL, SETTINGS.conditioning, HoldBack(TOOL, LIBRARY, SETTINGS.limiter), Safety.ARMED
@@ -53,8 +56,12 @@ def run(tissue: str, protocol: str = "strong_2hz", seed: int = 1, cycles: int = 
             found.append(session.process(block).identification)
             limit = limit_of(found[-1])
             acquisition.allow(limit.threshold_n, limit.tick)
+            limit_n.append(limiter.limit_n)
+            if not player.done:
+                limiter.judge(block.samples, player.advance(len(block.samples)))
+            limiter.allow(limit.threshold_n, limit.tick)
         assert not acquisition.take_let_go()
-    return Run(np.concatenate(blocks), np.array(grasper.forces_n), found)
+    return Run(np.concatenate(blocks), np.array(grasper.forces_n), found, limit_n)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +81,7 @@ def test_no_force_passes_the_tissues_own_threshold_nor_the_one_in_force(runs: di
 @pytest.mark.parametrize("tissue", ["bladder", "gallbladder"])
 def test_soft_tissues_are_held_at_four_fifths_of_their_threshold(runs: dict[str, Run], tissue: str) -> None:
     found = runs[tissue]
-    hold_n = found.found[-1].hold_n
+    hold_n = found.found[-1].limit_n
     assert hold_n == pytest.approx(1.80, abs=0.005)
     assert found.force_n.max() < hold_n
     for grasp in range(1, CYCLES + 1):
@@ -100,19 +107,27 @@ def test_what_is_told_is_what_the_limiter_does(runs: dict[str, Run], tissue: str
     found = runs[tissue]
     for number, each in enumerate(found.found):
         flags = found.samples["flags"][5 * number + 4]
-        assert each.hold_n == pytest.approx(MARGIN * each.threshold_n)
+        assert each.limit_n == found.limit_n[number]
+        assert {*found.samples["limit_n"][5 * number : 5 * number + 5]} == {each.limit_n}
         assert each.holding_back == bool(flags & Flag.HELD_BACK)
     assert any(each.holding_back for each in found.found)
     assert not found.found[-1].holding_back
 
 
-def test_before_the_force_is_held_the_threshold_is_foreseen(runs: dict[str, Run]) -> None:
+def test_before_the_force_is_held_the_limit_is_foreseen(runs: dict[str, Run]) -> None:
     for tissue in ("bladder", "gallbladder"):
         found = runs[tissue]
         held = int(np.flatnonzero(found.samples["flags"] & Flag.HELD_BACK)[0])
         assert 0.0 < found.before(held).time_to_limit_s < 0.1
         later = found.found[held // 5 + 40 : held // 5 + 60]  # 0.2 s later the force is held
         assert [each.time_to_limit_s for each in later] == [None] * 20
+
+
+def test_a_limit_that_rises_is_told_as_it_rises_and_differs_from_the_threshold_meanwhile(runs: dict[str, Run]) -> None:
+    found = runs["small_bowel"]
+    rising = [each for each in found.found if each.limit_n < 0.99 * MARGIN * each.threshold_n]
+    assert len(rising) > 10
+    assert len({each.limit_n for each in rising}) > 10
 
 
 def test_the_sine_of_the_paper_is_held_at_its_tops_and_nowhere_else() -> None:

@@ -8,7 +8,7 @@ const GAUGE_END = 1.2;
 const ZONES = ["low", "medium", "high"] as const;
 type Zone = "none" | "safe" | (typeof ZONES)[number];
 
-/** Force now and its peak against the force that injures. */
+/** Force now and its peak against the limit that the limiter enforces, as it says itself in every sample. */
 export class ForceCard {
   private readonly card = byId("force");
   private readonly gauge = byId("gauge");
@@ -20,55 +20,59 @@ export class ForceCard {
     const { hello, identification } = this.model;
     if (!hello) return;
     if (this.zonesFor !== hello.warning_shares) this.markZones(hello);
-    const limit = identification?.threshold_n ?? hello.lowest_threshold_n;
+    const limit = this.model.newest("limit_n");
     const filtered = this.model.newest("jaw_force_filtered_n");
     const force = Number.isFinite(filtered) ? filtered : this.model.newest("jaw_force_n");
     const share = force / limit;
     setText(byId("force-now"), newtons(force));
-    this.renderZone(share, hello.warning_shares);
+    this.renderZone(share, limit, hello.warning_shares);
     this.renderPeak(force, limit);
-    this.renderLimiter(share, limit);
+    this.renderLimiter(share);
     setProperty(this.gauge, "--share", onGauge(share));
     setAttribute(this.gauge, "aria-valuenow", Number.isFinite(share) ? String(Math.round(share * 100)) : "0");
     setAttribute(this.gauge, "aria-valuemax", String(GAUGE_END * 100));
-    setText(byId("force-threshold"), `Limit ${newtons(limit)} · ${this.whose(identification?.threshold_tissue ?? null)}`);
+    setText(byId("force-limit"), this.limitInWords(limit));
+    const threshold = identification?.threshold_n ?? hello.lowest_threshold_n;
+    const whose = this.whose(identification?.threshold_tissue ?? null);
+    setText(byId("force-threshold"), `Alarms by the injury threshold of ${whose}, ${newtons(threshold)}`);
+  }
+
+  private limitInWords(limit: number): string {
+    if (Number.isFinite(limit)) return `Limit ${newtons(limit)}, enforced by the limiter`;
+    return this.model.isReplay ? "No limit: this recording does not say any" : "No limit is enforced";
   }
 
   private whose(tissue: string | null): string {
-    if (tissue === null) return "the lowest of the library";
-    return `injury threshold of ${this.model.titleOf(tissue).toLowerCase()}`;
+    return tissue === null ? "the library's most delicate tissue" : this.model.titleOf(tissue).toLowerCase();
   }
 
-  private renderZone(share: number, shares: number[]): void {
+  private renderZone(share: number, limit: number, shares: number[]): void {
     const zone = zoneOf(share, shares);
     setData(this.card, "zone", zone);
-    setText(byId("force-zone"), zoneInWords(zone, share));
+    setText(byId("force-zone"), Number.isFinite(limit) ? zoneInWords(zone, share) : "");
   }
 
-  /** While a grasp goes on, also as a mark on the gauge; afterwards the limit on the gauge is another one. */
+  /** While a grasp goes on under a limit, also as a mark on the gauge; afterwards the limit is another one. */
   private renderPeak(force: number, limit: number): void {
     const held = this.model.identification;
     const told = held && held.grasp > 0 ? held.peak_force_n : null;
     const mark = byId("gauge-peak");
-    setHidden(mark, told === null || !held?.in_grasp);
+    setHidden(mark, told === null || !held?.in_grasp || !Number.isFinite(limit));
     if (told === null) return setText(byId("force-peak"), "");
     if (!held?.in_grasp) return setText(byId("force-peak"), `Peak of the last grasp ${newtons(told)}`);
     const peak = force > told ? force : told;
     setProperty(mark, "--share", onGauge(peak / limit));
-    setText(byId("force-peak"), `Peak ${newtons(peak)} (${wholePercent(peak / limit)})`);
+    setText(byId("force-peak"), `Peak ${newtons(peak)}` + (Number.isFinite(limit) ? ` (${wholePercent(peak / limit)})` : ""));
   }
 
   /** How long until the limit is reached, and whether the limiter keeps the motor from it. */
-  private renderLimiter(share: number, limit: number): void {
+  private renderLimiter(share: number): void {
     const held = this.model.identification;
     const holding = held?.in_grasp === true && held.holding_back;
     setData(this.card, "holding", String(holding));
     const box = byId("force-holding");
     setHidden(box, !holding);
-    if (held && holding) setText(box, `Limiter is holding the motor back under ${newtons(held.hold_n)}`);
-    const mark = byId("gauge-hold");
-    setHidden(mark, !held);
-    if (held) setProperty(mark, "--share", onGauge(held.hold_n / limit));
+    if (holding) setText(box, "Limiter is holding the motor back");
     const left = held?.in_grasp ? held.time_to_limit_s : null;
     setText(byId("force-forecast"), left === null || share >= 1 ? "" : `Limit in ${shortTime(left)} at this rate`);
   }

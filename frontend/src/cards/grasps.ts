@@ -45,8 +45,7 @@ export class GraspsTable {
   private row({ grasp, run_id: runId }: GraspEnded): HTMLTableRowElement {
     const row = create("tr");
     const { alarms, held_back: heldBack } = grasp;
-    const limit = this.limitOf(grasp.label);
-    const share = grasp.peak_force_n === null ? NO_VALUE : wholePercent(grasp.peak_force_n / limit);
+    const share = grasp.peak_share_of_limit === null ? NO_VALUE : wholePercent(grasp.peak_share_of_limit);
     const tissue = create("td", "what");
     const look = looksOf(this.model.tissues).find(({ name }) => name === grasp.label);
     const swatch = create("span", "swatch", look?.mark ?? "…");
@@ -78,11 +77,5 @@ export class GraspsTable {
     if (heldBack) cell.append(create("span", "held-back", "held back"));
     if (cell.childElementCount === 0) cell.textContent = NO_VALUE;
     return cell;
-  }
-
-  /** The tissue's own limit, or the lowest of the library where the tissue is not known. */
-  private limitOf(label: string): number {
-    const { hello } = this.model;
-    return hello?.library.tissues.find(({ name }) => name === label)?.threshold_n ?? hello?.lowest_threshold_n ?? NaN;
   }
 }

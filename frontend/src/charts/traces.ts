@@ -60,7 +60,8 @@ const SD_OF: Record<Parameter, string> = {
 export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
   const looks = looksOf(model.tissues);
   const library = looks.filter((look) => look.slot !== UNKNOWN_SLOT);
-  const limit = { ...plain(model, "threshold_n", "limit", "limit", "--line-limit"), mark: "limit", dash: [6, 4] };
+  const limit = { ...plain(model, "limit_n", "limit", "limit", "--line-limit"), mark: "limit", dash: [6, 4] };
+  const threshold = { ...plain(model, "threshold_n", "threshold", "alarm threshold", "--line-second"), dash: [2, 4] };
   const specs = [
     {
       id: "force",
@@ -68,6 +69,7 @@ export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
         plain(model, "jaw_force_n", "raw", "unfiltered", "--line-raw"),
         ...library.map((look) => ofTissue(model, "force_n", look, false)),
         plain(model, "jaw_force_filtered_n", "filtered", "filtered", "--line-measured"),
+        threshold,
         limit,
       ],
     },

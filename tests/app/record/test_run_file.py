@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
+from old_files import without_limit
 
 from acquisition.recordings import layout
 from acquisition.recordings.container import Container
@@ -49,6 +50,25 @@ def test_the_plain_mcap_package_reads_every_sample_with_its_schema(recorded: Pat
     np.testing.assert_array_equal(values["/conditioned"], run.samples["jaw_force_n"])
     np.testing.assert_array_equal(values["/estimates"], run.estimates["threshold_n"])
     assert set(np.diff(log_ns)) == {1_000_000}
+
+
+def test_it_says_the_limit_that_was_enforced_and_so_does_a_replay(recorded: Path) -> None:
+    run = read_run(recorded)
+    assert run.samples["limit_n"].min() == pytest.approx(1.80, abs=0.005)
+    with Recording(recorded, RIG) as replayed:
+        blocks = list(iter(replayed.read_block, None))
+    np.testing.assert_array_equal(np.concatenate([block.limit_n for block in blocks]), run.samples["limit_n"])
+    assert all(0.5 < grasp.peak_share_of_limit < 1.02 for grasp in run.grasps)
+
+
+def test_a_file_of_the_time_before_opens_and_says_no_limit(recorded: Path, tmp_path: Path) -> None:
+    old = without_limit(recorded, tmp_path / "old.mcap")
+    run, now = read_run(old), read_run(recorded)
+    assert np.isnan(run.samples["limit_n"]).all()
+    for name in set(run.samples.dtype.names) - {"limit_n"}:
+        np.testing.assert_array_equal(run.samples[name], now.samples[name])
+    with Recording(old, RIG) as replayed:
+        assert all(np.isnan(block.limit_n).all() for block in iter(replayed.read_block, None))
 
 
 def test_its_messages_fit_schemas_without_references_and_alternatives(recorded: Path) -> None:

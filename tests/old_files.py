@@ -1,0 +1,48 @@
+"""Recordings as earlier versions wrote them."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from acquisition.recordings import layout
+from acquisition.recordings.rows import RowLayout
+
+RAW_BEFORE = RowLayout("Raw", [column for column in layout.RAW_ROWS.columns if column.name != layout.LIMIT])
+
+
+def without_limit(
+    source: Path, target: Path, change_tool: Callable[[dict[str, Any]], None] = lambda tool: None
+) -> Path:
+    """A run's file as it was written before the limiter said in every sample what it enforces.
+
+    `change_tool` makes of the tool file in it one of that time.
+    """
+    with source.open("rb") as read, target.open("wb") as write:
+        reader, writer = make_reader(read), Writer(write)
+        writer.start(layout.PROFILE, "graspwatch")
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        for each in reader.iter_attachments():
+            data = each.data
+            if each.name == layout.TOOL:
+                tool = json.loads(data)
+                change_tool(tool)
+                data = json.dumps(tool).encode()
+            writer.add_attachment(each.log_time, each.create_time, each.name, each.media_type, data)
+        channels: dict[str, int] = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            is_raw = channel.topic == layout.RAW
+            if channel.topic not in channels:
+                definition = RAW_BEFORE.descriptor_set if is_raw else schema.data
+                of = writer.register_schema(schema.name, schema.encoding, definition)
+                channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, of)
+            data = RAW_BEFORE.encode(layout.RAW_ROWS.decode(message.data)) if is_raw else message.data
+            writer.add_message(
+                channels[channel.topic], message.log_time, data, message.publish_time, message.sequence
+            )
+        writer.finish()
+    return target
