@@ -154,7 +154,12 @@ def newest_of(context: zmq.Context, address: str) -> zmq.Socket:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """Test the tool at rest; the blocks that follow say whether it is armed."""
+    """Test the tool at rest; the blocks that follow say whether it is armed.
+
+    `unmeasured`: why it may be although its force scale is not measured.
+    """
+
+    unmeasured: str = ""
 
 
 @dataclass(frozen=True, slots=True)

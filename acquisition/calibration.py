@@ -57,7 +57,7 @@ def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSign
             geometry.l2_m * geometry.r_pp_m / (2 * geometry.l_jaw_m * geometry.a_m)
             * (np.tan(rod_angle) * np.cos(rod_angle) + sine) * jaw_cosine
         )  # fmt: skip
-        gain = transmission * calibration.newton_per_volt * calibration.jaw_force_scale
+        gain = transmission * calibration.newton_per_volt * calibration.jaw_force_scale.value
         force = gain * strain_v
         displacement = geometry.l_jaw_m * jaw_sine  # Eq. (6)
 
@@ -99,7 +99,7 @@ def from_jaw(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, 
         raise ValueError(f"the linkage cannot reach a displacement of {displacement_m} m")
     lever = geometry.l2_m * geometry.r_pp_m / (2 * geometry.l_jaw_m * geometry.a_m)
     gain = lever * (crank + math.sin(angle)) * math.cos(theta_jaw) * calibration.newton_per_volt
-    strain_v = force_n / (gain * calibration.jaw_force_scale)
+    strain_v = force_n / (gain * calibration.jaw_force_scale.value)
 
     # Eq. (6) is a quadratic in the rod position p: p^2 + b p + c = 0; the smaller root is the one with p = 0 at rest
     b = 2 * (geometry.l2_m * math.cos(angle) - geometry.l0_m)

@@ -12,11 +12,19 @@ from acquisition.safety import IN_RUN, MOVING, WATCHED, Event, Safety, after
 from acquisition.selftest import SelfTest
 from acquisition.source import Source
 from acquisition.watch import SensorWatch
+from config.errors import RefusedError
 from config.schema import Conditioning, Protocol, Tool
 
 ASTRAY_V = 0.25
 ASTRAY_BLOCKS = 20  # 100 ms: a reader that lags behind the board sees its commands late
 HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
+
+
+SCALE_UNKNOWN = (
+    "The tool's force scale is not measured, so its newtons may be wrong by a large factor. Measure it and state it "
+    "under [calibration.jaw_force_scale] in the tool file, or have an admin arm the tool with a reason "
+    "(`unmeasured_scale`)."
+)
 
 
 class RunEnd(StrEnum):
@@ -71,14 +79,17 @@ class Acquisition:
     def running(self) -> bool:
         return self._player is not None
 
-    def arm(self) -> None:
+    def arm(self, unmeasured: str = "") -> None:
         """Begin the self-test; the tool is armed by one of the next turns, or disarmed again for the reason in `why`.
 
-        The strain gage is tared anew with it. A tool that is armed stays so.
+        The strain gage is tared anew with it. A tool that is armed stays so. `unmeasured` is the reason for which a
+        real tool may move although its force scale is not measured.
 
         Raises:
-            RefusedError: a run is under way, or a fault is latched.
+            RefusedError: a run is under way, a fault is latched, or the force scale is not measured.
         """
+        if not (self._tool.has_known_scale or unmeasured):
+            raise RefusedError(SCALE_UNKNOWN)
         if self._happens(Event.ARM):
             self._self_test.begin()
             self._tare_anew()
@@ -199,7 +210,7 @@ class Acquisition:
         """What forbids the motor to go on, of a run."""
         if self.safety not in IN_RUN:
             return None
-        return why_stop(self._tool.limits, block.samples) or self._why_not_move(block)
+        return why_stop(self._tool, block.samples) or self._why_not_move(block)
 
     def _move(self, block: SampleBlock, wanted_v: float) -> None:
         """Write what the protocol asks for, or as much of it as the limiter allows."""

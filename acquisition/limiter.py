@@ -2,12 +2,13 @@
 
 import math
 from collections import deque
+from collections.abc import Collection
 
 import numpy as np
 
 from acquisition.blocks import Flag
 from acquisition.contact import COMMAND_ON_V
-from config.schema import Limiter, TissueLibrary, Tool, ToolLimits
+from config.schema import Limiter, TissueLibrary, Tool
 
 INVALID, SATURATED, IN_GRASP = Flag.INVALID.value, Flag.SATURATED.value, Flag.IN_GRASP.value
 HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
@@ -25,15 +26,16 @@ PASSED_SHARE = 1.05  # of the limit: the grasp is let go
 LEAST_HOLD_V = 0.05  # a grasp that is held back goes on: at 0 V the jaws would open
 
 
-def why_stop(limits: ToolLimits, samples: np.ndarray) -> str | None:
+def why_stop(tool: Tool, samples: np.ndarray) -> str | None:
     """Why the motor must not go on after these samples, or None.
 
-    The mean of a block is judged, so that one spike of the strain gage does not end a grasp; a force that cannot be
-    known (strain gage saturated, jaws in a grasp outside the domain of Eqs. (1) to (6)) counts as too large.
+    The upper end of the force scale decides whether the ceiling is reached. The mean of a block is judged, so that one
+    spike of the strain gage does not end a grasp; a force that cannot be known (strain gage saturated, jaws in a grasp
+    outside the domain of Eqs. (1) to (6)) counts as too large.
     """
-    flags, force_n = samples["flags"], samples["jaw_force_n"]
+    flags, force_n, ceiling_n = samples["flags"], samples["jaw_force_n"], tool.shown_n(tool.limits.force_ceiling_n)
     mean_n = float(np.add.reduce(force_n)) / len(samples)
-    if mean_n <= limits.force_ceiling_n and not (flags & SATURATED).any():
+    if mean_n <= ceiling_n and not (flags & SATURATED).any():
         return None
     if (flags & SATURATED).all():
         return "the strain gage is saturated: the force is not known"
@@ -41,8 +43,8 @@ def why_stop(limits: ToolLimits, samples: np.ndarray) -> str | None:
         return "the jaws are outside the range of Eqs. (1) to (6): the force is not known"
     known = np.isfinite(force_n)
     mean_n = float(force_n[known].mean()) if known.any() else 0.0
-    if mean_n > limits.force_ceiling_n:
-        return f"force {mean_n:.2f} N is over the ceiling of {limits.force_ceiling_n:.2f} N"
+    if mean_n > ceiling_n:
+        return f"force {mean_n:.2f} N is over the ceiling of {ceiling_n:.2f} N"
     return None
 
 
@@ -55,9 +57,9 @@ def most_after(command_v: float, tool: Tool) -> float:
 class ThresholdInForce:
     """The injury threshold that counts, N: the one told of the grasp under way while it is fresh, else the lowest."""
 
-    def __init__(self, library: TissueLibrary, expires_ticks: int) -> None:
-        self._lowest_n = library.lowest_threshold_n
-        self._highest_n = max(library.threshold_n(name) for name in library.tissues)
+    def __init__(self, thresholds_n: Collection[float], expires_ticks: int) -> None:
+        """`thresholds_n`: those of the library's tissues, in the newtons that the tool shows."""
+        self._lowest_n, self._highest_n = min(thresholds_n), max(thresholds_n)
         self._expires_ticks = expires_ticks
         self._told_n, self._told_tick = self._lowest_n, -1
 
@@ -80,6 +82,8 @@ class HoldBack:
     come to: commands still on their way are counted, and a map that is wrong is soon put right. Where the
     drive by itself is beyond the limit already, the command drops below what holds, until it is not.
 
+    All forces are those that the tool shows; thresholds are brought to them with the upper end of the force scale.
+
     Where the force passes the limit by more than noise does, or stays over it, all the same, the grasp is let go: the
     command stays at zero until the protocol asks for zero, too.
     """
@@ -90,9 +94,10 @@ class HoldBack:
         self._block_s = tool.board.block_samples / rate_hz
         self._map = tool.command_to_force
         self._margin = settings.margin
-        self._threshold = ThresholdInForce(library, round(settings.limit_expires_s * rate_hz))
+        thresholds_n = library.shown_thresholds_n(tool).values()
+        self._threshold = ThresholdInForce(thresholds_n, round(settings.limit_expires_s * rate_hz))
         self._followed: deque[float] = deque(maxlen=1 + round(FOLLOW_S / self._block_s))  # thresholds, by block
-        self._lowest_limit_n = self._limit_n = settings.margin * library.lowest_threshold_n
+        self._lowest_limit_n = self._limit_n = settings.margin * min(thresholds_n)
         self._expected = ExpectedForce(tool)
         self._strength = 1.0  # of the tool, in proportion to its map
         self._begins_with = 1.0  # a grasp that had to be let go teaches the following ones how strong the tool is

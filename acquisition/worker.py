@@ -156,7 +156,7 @@ def _obey(command: bus.Command | None, acquisition: Acquisition) -> bus.Answer:
             case bus.Stop():
                 return bus.Answer(effect=acquisition.stop(command.why))
             case bus.Arm():
-                acquisition.arm()
+                acquisition.arm(command.unmeasured)
             case bus.Disarm():
                 acquisition.disarm()
             case bus.Acknowledge():

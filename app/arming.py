@@ -13,6 +13,8 @@ from app.wire import Alarm, AlarmKind, Priority
 from config.errors import RefusedError
 
 FAULT = "fault"
+CALIBRATING = "for a calibration with empty jaws at half a volt"
+"""The one reason that needs no admin: without it no tool could be calibrated. It admits nothing but that."""
 TEST_S = 3.0
 """The self-test waits up to a second for the jaws to come to rest."""
 
@@ -27,6 +29,7 @@ class Arming:
         self._tell_event = tell_event
         self._changed = asyncio.Event()
         self.safety, self.why = Safety.DISARMED, ""
+        self.unmeasured = ""  # why it was armed without a measured force scale
 
     def follow(self, block: SampleBlock) -> bool:
         """Take what a block says; returns whether it is news to people."""
@@ -55,8 +58,10 @@ class Arming:
         self._supervisor.begin_with_fault(why)
         self._changed.set()
 
-    async def arm(self, by: str | None) -> None:
+    async def arm(self, by: str | None, unmeasured: str = "") -> None:
         """Test the tool; it is armed when this returns.
+
+        `unmeasured`: why it may be although its force scale is not measured.
 
         Raises:
             RefusedError: it cannot be; the text says why and what to do.
@@ -64,7 +69,7 @@ class Arming:
         """
         if not self._supervisor.is_guarded:
             raise RefusedError("The guard, who zeroes the motor of a hung tool, does not run: see the alarms.")
-        await self._commander.send(bus.Arm())
+        await self._commander.send(bus.Arm(unmeasured))
         try:
             async with asyncio.timeout(TEST_S):
                 await self._while_testing()
@@ -72,7 +77,9 @@ class Arming:
             raise RefusedError("The self-test did not end in time. See the alarms, then try again.") from None
         if self.safety is not Safety.ARMED:
             raise RefusedError(f"Not armed: {self.why or f'the tool is {self.safety.value}'}.")
-        self._tell_event("Armed: tare and self-test passed", by=by)
+        self.unmeasured = unmeasured
+        without = f", without a measured force scale: {unmeasured}" if unmeasured else ""
+        self._tell_event(f"Armed: tare and self-test passed{without}", by=by)
 
     async def _while_testing(self) -> None:
         """The worker has obeyed; its blocks from now on tell how that goes."""

@@ -313,7 +313,7 @@ REMARKS = {"unknown": "fits no tissue of the library"}
 def _table(document: dict[str, Any]) -> Table:
     title = (
         f"{document['source']}: {document['samples']} samples in {document['duration_s']:.1f} s, "
-        f"{document['lost_samples']} lost; library {document['library']}"
+        f"{document['lost_samples']} lost; library {document['library']}; {document['force_scale']}"
     )
     table = Table(title=title)
     for heading in ("Grasp", "Start", "Tissue", "Prob.", "Decided", "Peak"):

@@ -1,10 +1,21 @@
 """What viewers are told of the tool, the library and the frames' columns."""
 
+from datetime import date
+
 from app import __version__
 from app.clock import now_ms
 from app.frames import channels
 from app.plan import ServicePlan
-from app.wire import Hello, HoldableInfo, LibraryInfo, SpreadInfo, TissueInfo, ToolInfo
+from app.wire import (
+    ConstantInfo,
+    ForceScaleInfo,
+    Hello,
+    HoldableInfo,
+    LibraryInfo,
+    SpreadInfo,
+    TissueInfo,
+    ToolInfo,
+)
 from config.load import holdable
 from config.schema import TissueLibrary, Tool, ToolKind
 
@@ -18,7 +29,7 @@ def hello(plan: ServicePlan, tool: Tool, *, recording: bool = False) -> Hello:
         tool=tool_info(tool, recording=recording),
         library=library_info(plan),
         holdable=_holdable(library) if tool.kind is ToolKind.SIMULATED and not recording else [],
-        lowest_threshold_n=library.lowest_threshold_n,
+        lowest_threshold_n=min(library.shown_thresholds_n(tool).values()),
         decide_at=plan.settings.identification.decide_at,
         warning_shares=[shares.low, shares.medium, shares.high],
         channels=channels(list(library.tissues)),
@@ -41,9 +52,25 @@ def tool_info(tool: Tool, *, recording: bool = False) -> ToolInfo:
         sample_rate_hz=tool.board.sample_rate_hz,
         max_command_v=tool.limits.max_command_v,
         force_ceiling_n=tool.limits.force_ceiling_n,
+        force_scale=force_scale_info(tool),
         calibration_date=tool.calibration.date,
         calibrated_by=tool.calibration.person,
     )
+
+
+def force_scale_info(tool: Tool) -> ForceScaleInfo:
+    scale = tool.calibration.jaw_force_scale
+    return ForceScaleInfo(**scale.model_dump(mode="json"), text=tool.scale_in_words)
+
+
+def constant_infos(tool: Tool, today: date) -> list[ConstantInfo]:
+    return [
+        ConstantInfo(
+            constant=each.constant, value=each.value, date=each.date, by=each.person,
+            expires=each.expires.isoformat() if each.expires else None, expired=each.is_expired(today),
+        )
+        for each in tool.constants
+    ]  # fmt: skip
 
 
 def library_info(plan: ServicePlan) -> LibraryInfo:

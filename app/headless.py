@@ -35,6 +35,7 @@ class Report:
     lost_samples: int = 0
     grasps: list[GraspRecord] = field(default_factory=list)
     let_go: list[str] = field(default_factory=list)  # what is told of each grasp that the limiter let go
+    force_scale: str = ""  # by which scale forces are told, for people
     failure: str | None = None  # why a run ended before its protocol
     comparison: Comparison | None = None  # of a replay with what was recorded
 
@@ -45,6 +46,7 @@ class Report:
             "lost_samples": self.lost_samples,
             "duration_s": (self.samples + self.lost_samples) / self.rate_hz,
             "library": self.library,
+            "force_scale": self.force_scale,
             "grasps": [asdict(grasp) for grasp in self.grasps],
         }
         if self.let_go:
@@ -65,7 +67,7 @@ def run_protocol(
         ToolError: the board failed.
         RecordingError: the file exists, or cannot be written.
     """
-    report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz)
+    report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz, force_scale=tool.scale_in_words)
     session = EstimationSession(tool, library, settings)
     source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
     run_id = record.stem if record else "run"
@@ -113,7 +115,7 @@ def replay_recording(recording: Recording, rig: Rig, progress: Progress) -> Repo
         RecordingError: the file is damaged; names the place.
     """
     tool, library, settings = rig.tool, rig.library, rig.settings
-    report = Report(str(recording.path), library.name, tool.board.sample_rate_hz)
+    report = Report(str(recording.path), library.name, tool.board.sample_rate_hz, force_scale=tool.scale_in_words)
     pipeline = Pipeline(tool, settings.conditioning)
     session = EstimationSession(tool, library, settings)
     comparing = Comparing(recording.container, rig, recording.first_tick) if recording.container else None

@@ -18,7 +18,7 @@ from acquisition.blocks import SampleBlock
 from acquisition.process import serving_priority
 from acquisition.safety import Safety
 from app.alarms import AlarmBook
-from app.arming import Arming
+from app.arming import CALIBRATING, Arming
 from app.clock import now_ms, wall_ms
 from app.commander import Commander
 from app.describe import hello
@@ -181,8 +181,12 @@ class Station:
 
     # --- commands ----------------------------------------------------------------------------------------------------
 
-    async def start_run(self, protocol: Protocol, cycles: int, tissue: str | None, by: str | None) -> Run:
+    async def start_run(
+        self, protocol: Protocol, cycles: int, tissue: str | None, by: str | None, unmeasured: str = ""
+    ) -> Run:
         """Start a protocol; a tool that is not armed is armed first, unless the settings forbid it.
+
+        `unmeasured`: why the tool may be armed although its force scale is not measured.
 
         Raises:
             RefusedError: a fault is latched, the tool cannot be armed, another run began, or the acquisition refuses.
@@ -191,7 +195,9 @@ class Station:
         self.arming.check_fault()
         stops = self._stops
         if self.arming.safety is not Safety.ARMED and self.plan.settings.safety.arm_with_start:
-            await self.arming.arm(by)
+            await self.arming.arm(by, unmeasured)
+        if self.arming.unmeasured == CALIBRATING and unmeasured != CALIBRATING:
+            raise RefusedError("The tool is armed for a calibration alone. Disarm it first.")
         self._check_free()
         prefix = DEMONSTRATION if self.demo else ""
         run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
@@ -347,10 +353,16 @@ class Station:
             self.alarms.end("lost")
 
     def _watch_calibration(self) -> None:
-        calibration = self.plan.tool.calibration
-        if not self.plan.opened and calibration.is_expired(date.today()):
-            text = f"The tool's calibration expired on {calibration.expires}: calibrate it anew before you trust forces"
+        if self.plan.opened:
+            return
+        tool = self.plan.tool
+        if expired := tool.expired(date.today()):
+            names = ", ".join(f"{each.constant} ({each.expires})" for each in expired)
+            text = f"The tool's calibration is expired: {names}. Measure anew before you trust forces"
             self.alarms.raise_technical("calibration", Priority.LOW, text)
+        if not tool.has_known_scale:
+            text = f"The tool's force scale is not measured ({tool.scale_in_words}): newtons may be wrong by that much"
+            self.alarms.raise_technical("scale", Priority.LOW, text)
 
     def _count_lost(self, samples: int) -> None:
         if samples:

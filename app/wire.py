@@ -39,6 +39,10 @@ FRAME_KINDS = {FrameKind.LIVE: 0, FrameKind.HISTORY: 1}
 Person = Annotated[str, Field(min_length=1, max_length=40, pattern=r"\S")]
 
 
+Reason = Annotated[str, Field(min_length=3, max_length=300, pattern=r"\S")]
+UNMEASURED = "Why a real tool may be armed although its force scale is not measured: an admin's reason, for the journal"
+
+
 class Wire(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
 
@@ -131,6 +135,30 @@ class LibraryInfo(Wire):
     tissues: list[TissueInfo]
 
 
+class ForceScaleInfo(Wire):
+    """By which scale newtons are told: jaw force is Eq. (2) times `value`; it may be anything from `low` to `high`."""
+
+    value: float
+    low: float
+    high: float
+    measured: bool
+    source: str
+    date: str | None
+    expires: str | None
+    text: str = Field(description="The same in words, to stand beside newtons")
+
+
+class ConstantInfo(Wire):
+    """When a constant of the tool file was measured."""
+
+    constant: str = Field(description="Its key in the tool file")
+    value: float
+    date: str
+    by: str = Field(description="Who measured it, or where it comes from")
+    expires: str | None = Field(description="From this day on it is to be measured anew; null: not said")
+    expired: bool
+
+
 class ToolInfo(Wire):
     name: str
     title: str
@@ -138,7 +166,8 @@ class ToolInfo(Wire):
     sample_rate_hz: float
     max_command_v: float
     force_ceiling_n: float
-    calibration_date: str
+    force_scale: ForceScaleInfo
+    calibration_date: str = Field(description="Of the constants that have no date of their own")
     calibrated_by: str
 
 
@@ -166,12 +195,14 @@ class RunRequest(Wire):
     cycles: Annotated[int, Field(ge=1, le=10_000)] | None = Field(None, description="Grasps; null: the protocol's")
     tissue: str | None = Field(None, description="What the simulated grasper holds; refused for a real tool")
     by: Person | None = Field(None, description="Who asks for it")
+    unmeasured_scale: Reason | None = Field(None, description=UNMEASURED)
 
 
 class ArmRequest(Wire):
     """May be left out altogether."""
 
     by: Person | None = None
+    unmeasured_scale: Reason | None = Field(None, description=UNMEASURED)
 
 
 class SafetyReport(Wire):
@@ -599,6 +630,8 @@ class System(Wire):
     data_folder: str
     free_disk_bytes: int | None
     tool: dict[str, Any] = Field(description="The tool file")
+    constants: list[ConstantInfo] = Field(description="Each calibrated constant of it with its own date and expiry")
+    force_scale: ForceScaleInfo
     settings: dict[str, Any] = Field(description="The settings in use")
 
 

@@ -13,7 +13,7 @@ from config.schema import Protocol, Settings, TissueLibrary, Tool
 
 CONFIG_DIR = Path(__file__).parent
 
-WAVEFORM_SHAPES = ("trapezoid", "sine", "custom")  # pydantic puts them into the place of a fault; the file does not
+FORMS = ("trapezoid", "sine", "custom", "table", "number")  # pydantic puts them into a fault's place; the file does not
 
 MOST_CHARACTERS = 2**24  # a learned library has some hundred thousand
 MOST_NESTED = 50  # tables and arrays within each other; a file of ours has five
@@ -142,9 +142,8 @@ def describe_faults(where: str, error: ValidationError, model: type[BaseModel]) 
 
 
 def _describe_fault(fault: Any, keys: list[str]) -> str:
-    *outer, last = fault["loc"] or ("(whole file)",)
-    named = [part for part in outer if part not in WAVEFORM_SHAPES]
-    place = ".".join(str(part) for part in [*named, last])
+    named = [part for part in fault["loc"] if part not in FORMS]
+    place = ".".join(str(part) for part in named) or "(whole file)"
     if fault["type"] != "extra_forbidden":
         given = "" if fault["type"] == "missing" else f" (found {_shorten(fault['input'])})"
         return f"{place}: {fault['msg']}{given}"

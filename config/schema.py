@@ -4,11 +4,23 @@ import datetime
 import hashlib
 import ipaddress
 import json
+import re
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, SecretStr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    SecretStr,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from config.errors import ConfigurationError
 from config.network import is_loopback, parse_authority
@@ -139,8 +151,64 @@ class Measured(Model):
     """From this day on it is to be measured anew."""
 
 
+EQ2_LEAST, EQ2_MOST = 0.05, 1.0
+"""Scales that the paper allows: a constant 0.59 N/V where Eq. (2) gives 12 N/V, and the equation as printed."""
+
+
+class ForceScale(Model):
+    """The scale of newtons: jaw force is Eq. (2) times this. A calibration value with an interval."""
+
+    value: Positive
+    """What forces on the screen, in files and in reports are Eq. (2) times."""
+    low: Positive
+    """Least that the scale may be."""
+    high: Positive
+    """Most that it may be: limiter, force ceiling and force alarms reckon with it."""
+    measured: bool
+    """Whether it was measured on this tool, against a reference between the jaws. Only then a real tool is armed, or by
+    an admin's override."""
+    source: Annotated[str, Field(min_length=1)]
+    """How it was measured, or whose assumption it is."""
+    date: datetime.date | None = None
+    """Day of the measurement."""
+    expires: datetime.date | None = None
+    """From this day on it is to be measured anew."""
+
+    @model_validator(mode="after")
+    def _is_an_interval(self) -> Self:
+        if not self.low <= self.value <= self.high:
+            raise ValueError(f"low <= value <= high must hold (found {self.low:g}, {self.value:g}, {self.high:g})")
+        if self.measured and self.date is None:
+            raise ValueError("a measured scale needs the date of its measurement")
+        return self
+
+
+def _with_interval(scale: ForceScale | float) -> ForceScale:
+    """The scale of a tool file that states a number alone: not measured, and nothing narrows its interval."""
+    if isinstance(scale, ForceScale):
+        return scale
+    return ForceScale(
+        value=scale, low=min(scale, EQ2_LEAST), high=max(scale, EQ2_MOST), measured=False,
+        source="a tool file that states no interval",
+    )  # fmt: skip
+
+
+def _form_of_scale(given: Any) -> str:
+    return "number" if isinstance(given, int | float) and not isinstance(given, bool) else "table"
+
+
+AnyScale = Annotated[
+    Annotated[ForceScale, Tag("table")] | Annotated[Positive, Tag("number")],
+    Discriminator(_form_of_scale),
+    AfterValidator(_with_interval),
+]
+
+
 class Calibration(Model):
-    """Eqs. (1), (3) and (5), and the rest voltage that is tared away."""
+    """Eqs. (1), (3) and (5), and the rest voltage that is tared away.
+
+    Date, person and expiry are those of the constants that have no table of their own in `measured`.
+    """
 
     newton_per_volt: Positive
     """Pull on the handle for each volt of the strain gage over rest, Eq. (1). `calibrate strain`."""
@@ -148,8 +216,8 @@ class Calibration(Model):
     """How far the cable's stretch turns the encoder for each volt, Eq. (3). `calibrate stretch`."""
     handle_per_encoder: Positive
     """Degrees of the handle for each of the encoder, Eq. (5). `calibrate geometry`."""
-    jaw_force_scale: Positive = 1.0
-    """Jaw force is Eq. (2) times this."""
+    jaw_force_scale: AnyScale = _with_interval(1.0)
+    """Jaw force is Eq. (2) times this. A number alone is one that was not measured."""
     rest_offset_v: Finite
     """What the strain gage reads at rest, V. `calibrate tare`."""
     rest_tolerance_v: Positive
@@ -159,20 +227,17 @@ class Calibration(Model):
     encoder_gear_ratio: Positive
     """Turns of the encoder's shaft for each of the gearbox."""
     date: str
-    """Day of the calibration."""
+    """Day on which the constants were measured that are not in `measured`."""
     person: str
-    """Who calibrated."""
+    """Who measured them."""
     expires: datetime.date | None = None
-    """From this day on the dashboard asks for a new calibration: the first day on which one of `measured` expires."""
+    """From this day on they are to be measured anew."""
     measured: tuple[Measured, ...] = ()
-    """How constants were measured: one table each."""
+    """How constants were measured: one table each, with its own date and expiry."""
 
     def is_rest(self, strain_v: float) -> bool:
         """Whether the gage may read that at rest; False for NaN."""
         return abs(strain_v - self.rest_offset_v) <= self.rest_tolerance_v
-
-    def is_expired(self, today: datetime.date) -> bool:
-        return self.expires is not None and today >= self.expires
 
     @property
     def encoder_resolution_deg(self) -> float:
@@ -300,7 +365,28 @@ class SimulatedGrasper(Model):
     """Scatter of the specimens, times the library's."""
 
 
-UNITS_OF_CALIBRATION = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "jaw_force_scale")
+UNITS_OF_CALIBRATION = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder")
+
+CALIBRATED = {
+    "newton_per_volt": "strain", "encoder_deg_per_volt": "stretch", "handle_per_encoder": "geometry",
+    "opening_m": "geometry", "rest_offset_v": "tare", "strain_sd_v": "tare",
+}  # fmt: skip
+"""Constants of a tool file, and which `graspwatch calibrate` measures each."""
+SCALE = "jaw_force_scale"
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantAge:
+    """When a constant of the tool file was measured, by whom, and from which day on it is to be measured anew."""
+
+    constant: str
+    value: float
+    date: str
+    person: str
+    expires: datetime.date | None
+
+    def is_expired(self, today: datetime.date) -> bool:
+        return self.expires is not None and today >= self.expires
 
 
 class Tool(Model):
@@ -327,10 +413,64 @@ class Tool(Model):
     def calibration_fingerprint(self) -> str:
         """16 hexadecimal digits of what turns volts and degrees into forces and travel: a learned library's units."""
         calibration = self.calibration.model_dump(include=set(UNITS_OF_CALIBRATION))
+        calibration[SCALE] = self.calibration.jaw_force_scale.value
         geometry = self.geometry.model_dump(exclude={"opening_m"})
         simulated = self.kind is ToolKind.SIMULATED  # its drive and jaws are no real tool's, whatever its constants
         content = json.dumps([simulated, calibration, geometry, self.board.sample_rate_hz], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+    @property
+    def force_factor(self) -> float:
+        """How many times the shown force the true one may be: upper end of the scale's interval over its value.
+
+        Exactly 1 for a simulated tool, whose jaws and sensors are made with the same scale.
+        """
+        scale = self.calibration.jaw_force_scale
+        return 1.0 if self.kind is ToolKind.SIMULATED else scale.high / scale.value
+
+    def shown_n(self, jaw_force_n: float) -> float:
+        """The shown force at which the true one may be `jaw_force_n` already, N: what protects tissue acts there."""
+        return jaw_force_n / self.force_factor
+
+    @property
+    def has_known_scale(self) -> bool:
+        """Whether the motor may be armed: newtons are measured, simulated, or move nothing."""
+        return self.kind is not ToolKind.NIDAQ or self.calibration.jaw_force_scale.measured
+
+    @property
+    def scale_in_words(self) -> str:
+        """By which scale newtons are told, for people."""
+        scale = self.calibration.jaw_force_scale
+        value, low, high = (float(f"{each:.3g}") for each in (scale.value, scale.low, scale.high))
+        if self.kind is ToolKind.SIMULATED:
+            return f"N by Eq. (2), scale exactly {value}: simulated"
+        how = f"measured {scale.date}" if scale.measured else "not measured"
+        return f"N by Eq. (2), scale {value} ({low} to {high}), {how}"
+
+    @property
+    def constants(self) -> tuple[ConstantAge, ...]:
+        """The age of every constant that a calibration measures; what has no date of its own has the file's."""
+        calibration, scale = self.calibration, self.calibration.jaw_force_scale
+        own = {how.constant: how for how in calibration.measured}
+        values = calibration.model_dump(include=set(CALIBRATED))
+        values |= {"opening_m": self.geometry.opening_m, "strain_sd_v": self.noise.strain_sd_v}
+        ages = []
+        for name in CALIBRATED:
+            how = own.get(name)
+            date, person, expires = (
+                (how.date.isoformat(), how.person, how.expires) if how
+                else (calibration.date, calibration.person, calibration.expires)
+            )  # fmt: skip
+            if values[name] is not None:
+                ages.append(ConstantAge(name, values[name], date, person, expires))
+        date = scale.date.isoformat() if scale.date else calibration.date
+        expires = None if self.kind is ToolKind.SIMULATED else scale.expires or calibration.expires
+        ages.append(ConstantAge(SCALE, scale.value, date, scale.source, expires))
+        return tuple(ages)
+
+    def expired(self, today: datetime.date) -> list[ConstantAge]:
+        """Constants that are to be measured anew."""
+        return [each for each in self.constants if each.is_expired(today)]
 
     @model_validator(mode="after")
     def _simulated_has_mechanics(self) -> Self:
@@ -483,6 +623,10 @@ class TissueLibrary(Model):
     def threshold_n(self, tissue: str) -> float:
         """Force at which injury begins: threshold pressure times jaw area, N."""
         return self.tissues[tissue].threshold_pa * self.jaw_area_m2
+
+    def shown_thresholds_n(self, tool: Tool) -> dict[str, float]:
+        """The shown force of `tool` at which each tissue may be injured already, N."""
+        return {name: tool.shown_n(self.threshold_n(name)) for name in self.tissues}
 
     @property
     def lowest_threshold_n(self) -> float:

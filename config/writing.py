@@ -19,13 +19,13 @@ DIGITS = 6
 
 
 def write_calibrated(
-    tool: str, values: Mapping[str, float], measured: Sequence[Measured], today: date, person: str, into: Path
+    tool: str, values: Mapping[str, float], measured: Sequence[Measured], today: date, into: Path
 ) -> Path:
     """A tool file like that of `tool` (a name or a path), with other constants.
 
     Args:
         values: by their place in the file, `table.key`, e.g. `calibration.newton_per_volt`.
-        measured: how each of them came about.
+        measured: how each of them came about. Constants that are not among them keep their dates and expiries.
         into: folder of the new file; it is called like the old one, with the day, and never overwrites any.
 
     Raises:
@@ -37,13 +37,11 @@ def write_calibrated(
         table, key = place.split(".")
         document[table][key] = _rounded(value)
     calibration: Table = document["calibration"]
-    calibration["date"], calibration["person"] = today.isoformat(), person
     anew = {how.constant for how in measured}
     kept = [table for table in calibration.pop("measured", []) if table["constant"] not in anew]
     tables = tomlkit.aot()
     for table in [*kept, *(how.model_dump() for how in measured)]:
         tables.append(tomlkit.item({name: _rounded(value) for name, value in table.items()}))
-    calibration["expires"] = min(table["expires"] for table in tables)  # a new tare makes no old gain newer
     calibration["measured"] = tables
     try:
         path = _write_new(into, DATED.sub("", old.stem) + f"-{today.isoformat()}", _spaced(tomlkit.dumps(document)))

@@ -31,6 +31,7 @@ def written() -> dict[str, str]:
         table = _resolved(prop, schema)
         if table and table["type"] == "object" and "properties" in table:
             tables += _table(f"`[{name}]`", table, schema)
+    tables += _table("`[calibration.jaw_force_scale]`", schema["$defs"]["ForceScale"], schema)
     tables += _table("`[[calibration.measured]]`", schema["$defs"]["Measured"], schema)
     return {
         "tool-file.md": "\n".join(tables) + "\n",
@@ -61,7 +62,7 @@ def _table(title: str, table: dict[str, Any], schema: dict[str, Any]) -> list[st
         value = f"table `[{name}]`" if is_table else _value(prop, schema)
         if name in required:
             default = "required"
-        elif is_table:
+        elif is_table or isinstance(prop.get("default"), dict):
             default = "as below"
         else:
             default = "none" if prop.get("default") is None else f"`{json.dumps(prop['default'])}`"
@@ -79,7 +80,7 @@ def _resolved(prop: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any] | 
 
 
 def _value(prop: dict[str, Any], schema: dict[str, Any]) -> str:
-    options = [each for each in prop.get("anyOf", [prop]) if each.get("type") != "null"]
+    options = [each for each in prop.get("anyOf") or prop.get("oneOf", [prop]) if each.get("type") != "null"]
     return " or ".join(_one(each, schema) for each in options)
 
 
@@ -93,7 +94,7 @@ def _one(prop: dict[str, Any], schema: dict[str, Any]) -> str:
         many = f" of {len(prop['prefixItems'])}" if "prefixItems" in prop else ""
         return f"list{many}: {_one(items, schema)}"
     if prop["type"] == "object":
-        return "tables, see below"
+        return "table, see below" if "properties" in prop else "tables, see below"
     words = {"string": "day" if prop.get("format") == "date" else "text", "number": "number", "integer": "whole number"}
     bounds = [f"{word} {prop[key]:g}" for key, word in BOUNDS.items() if key in prop]
     if "pattern" in prop:

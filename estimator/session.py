@@ -78,8 +78,8 @@ class EstimationSession:
         """
         self._tool = tool
         self._rate_hz = tool.board.sample_rate_hz
-        self._thresholds = {name: library.threshold_n(name) for name in library.tissues}
-        self._lowest_n = library.lowest_threshold_n
+        self._thresholds = library.shown_thresholds_n(tool)
+        self._lowest_n = min(self._thresholds.values())
         self._settings = settings.identification
         self._opening_m = tool.geometry.opening_m
         self.bank = Bank.of(tool, library)

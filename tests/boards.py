@@ -61,7 +61,9 @@ def _serve(tissue: str, seed: int, line: Connection) -> None:
 class ServedBoard:
     """`tool_file` is that of a tool on a real board, reached through this one's address."""
 
-    def __init__(self, folder: Path, tissue: str = "bladder", seed: int = 1) -> None:
+    def __init__(self, folder: Path, tissue: str = "bladder", seed: int = 1, *, measured: bool = True) -> None:
+        """`measured`: whether the tool file says that its force scale is."""
+        self._scale = "true\ndate = 2026-11-01" if measured else "false"
         context = multiprocessing.get_context("spawn")
         self._line, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(tissue, seed, theirs), daemon=True)
@@ -72,6 +74,7 @@ class ServedBoard:
         port = self._line.recv()
         text = (CONFIG_DIR / "tools/simulated.toml").read_text()
         text = text.replace('kind = "simulated"', 'kind = "nidaq"', 1)
+        text = text.replace("measured = false\n", f"measured = {self._scale}\n", 1)
         self.tool_file.write_text(text.replace("[board]\n", f'[board]\ngrpc_address = "127.0.0.1:{port}"\n', 1))
         return self
 

@@ -10,7 +10,7 @@ import numpy as np
 from acquisition.contact import COMMAND_ON_V
 from acquisition.nidaq import PATIENCE_S, BoardFacts
 from acquisition.selftest import STILL_DEG, sound_noise_v
-from config.schema import Tool
+from config.schema import CALIBRATED, Tool
 
 RATE_SHARE = 1e-3  # crystals are a hundred times better; a clock of another source is not
 LATE_MS = 1e3 * PATIENCE_S
@@ -87,13 +87,27 @@ def channels(board: BoardFacts, tool: Tool) -> Finding:
 
 def calibration(tool: Tool, today: datetime.date) -> Finding:
     """Whether the tool's constants are still to be trusted."""
-    check, made = "calibration", tool.calibration
-    found = f"of {made.date} by {made.person}"
-    if made.is_expired(today):
-        text = f"{found}, expired on {made.expires}: calibrate anew, see `graspwatch calibrate`."
-        return Finding(check, Outcome.FAIL, text)
-    until = f"good until {made.expires}" if made.expires else "without a date of expiry"
-    return Finding(check, Outcome.PASS, f"{found}, {until}")
+    check = "calibration"
+    if expired := tool.expired(today):
+        names = ", ".join(f"{each.constant} of {each.date}, on {each.expires}" for each in expired)
+        how = dict.fromkeys(CALIBRATED[each.constant] for each in expired if each.constant in CALIBRATED)
+        what = ", ".join(f"`graspwatch calibrate {each}`" for each in how) or "see `force scale`"
+        return Finding(check, Outcome.FAIL, f"expired: {names}. Measure these anew: {what}.")
+    dates = sorted(each.expires for each in tool.constants if each.expires)
+    found = f"the oldest constant is of {min(each.date for each in tool.constants)}"
+    return Finding(check, Outcome.PASS, f"{found}, {f'all are good until {dates[0]}' if dates else 'none expires'}")
+
+
+def force_scale(tool: Tool) -> Finding:
+    """Whether it is known how many newtons a volt is."""
+    check = "force scale"
+    if tool.has_known_scale:
+        return Finding(check, Outcome.PASS, tool.scale_in_words)
+    text = (
+        f"{tool.scale_in_words}: the tool is not armed before it is. Close the jaws on a load cell (an admin arms the "
+        "tool for that with a reason), and state the ratio to the force shown under [calibration.jaw_force_scale]."
+    )
+    return Finding(check, Outcome.FAIL, text)
 
 
 def lateness_ms(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.ndarray]:

@@ -21,6 +21,7 @@ LEVELS_V = (0.5, 0.4, 0.3, 0.2, 0.1)
 AT_REST = ("sample clock", "strain gage at rest", "motor at zero", "encoder at rest", "touch sensors at rest")
 MOVING = ("motor command read back", "round trip", "encoder direction", "encoder scale")
 AFTER = "motor at zero afterwards"
+ABOUT_CONSTANTS = ("calibration", "force scale")  # they say nothing of the wiring
 
 
 class Walk:
@@ -41,7 +42,7 @@ class Walk:
         failed = None
         for finding in self._board():
             yield finding
-            hinders = finding.outcome is Outcome.FAIL and finding.check != "calibration"
+            hinders = finding.outcome is Outcome.FAIL and finding.check not in ABOUT_CONSTANTS
             failed = failed or (finding.check if hinders else None)
         if failed:
             yield from _not_done((*AT_REST, *MOVING, AFTER), failed)
@@ -70,6 +71,7 @@ class Walk:
         yield checks.product(board, self._tool)
         yield checks.channels(board, self._tool)
         yield checks.calibration(self._tool, datetime.date.today())
+        yield checks.force_scale(self._tool)
 
     def _running(self, source: NidaqTool, may_move: Callable[[], bool]) -> Iterator[Finding]:
         tool, failed = self._tool, []

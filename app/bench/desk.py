@@ -10,6 +10,7 @@ from acquisition.bench.checks import Signals
 from acquisition.bench.fits import Fit, Pass
 from acquisition.blocks import SampleBlock
 from acquisition.safety import Safety
+from app.arming import CALIBRATING
 from app.bench.results import write_fit
 from app.plan import ServicePlan
 from app.station import Station
@@ -137,7 +138,7 @@ class CalibrationDesk:
         await self._put(0.0, value * 1e-3 if what is CalibrationKind.GEOMETRY else 0.0)
         try:
             self._blocks = []
-            run = await self._station.start_run(measuring.shutting(), 1, None, by)
+            run = await self._station.start_run(measuring.shutting(), 1, None, by, self._unmeasured)
             while self._station.runs.current and self._station.runs.current.id == run.id:
                 self._arrived.clear()
                 await asyncio.wait_for(self._arrived.wait(), LATE_S)
@@ -149,6 +150,9 @@ class CalibrationDesk:
         finally:
             taken, self._blocks = self._blocks or [], None
             await self._put(0.0, None)
+            arming = self._station.arming
+            if arming.safety is Safety.ARMED and arming.unmeasured == CALIBRATING:
+                await arming.disarm(by)  # it was armed for this alone
         played = measuring.signals_of([block for block in taken if block.run == run.id])
         return measuring.passes_played(played, self._tool())
 
@@ -171,6 +175,11 @@ class CalibrationDesk:
         self._tell(result=_result(fit, tool, path))
         names = ", ".join(each.key for each in fit.constants)
         self._station.tell_event(f"Calibrated: {names}; written to {path}", by=by)
+
+    @property
+    def _unmeasured(self) -> str:
+        """Why the tool may move without a measured force scale, where it has none."""
+        return "" if self._plan.tool.has_known_scale else CALIBRATING
 
     @property
     def _folder(self) -> Path:

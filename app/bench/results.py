@@ -24,4 +24,4 @@ def write_fit(fit: Fit, tool: str, person: str, valid_days: int, into: Path) -> 
         for each in fit.constants
     ]  # fmt: skip
     values = {each.key: each.value for each in fit.constants}
-    return write_calibrated(tool, values, measured, today, person, into)
+    return write_calibrated(tool, values, measured, today, into)

@@ -53,7 +53,10 @@ def export(source: Path, target: Path, wanted: Format) -> list[Path]:
 
 def _about(run: RecordedRun) -> dict[str, str]:
     tool, library = run.rig.tool, run.rig.library
-    return run.about | {"tool_file": tool.model_dump_json(), "tissue_library": library.model_dump_json()}
+    return run.about | {
+        "force_scale": tool.scale_in_words, "tool_file": tool.model_dump_json(),
+        "tissue_library": library.model_dump_json(),
+    }  # fmt: skip
 
 
 def _sample_table(run: RecordedRun) -> pa.Table:

@@ -133,6 +133,7 @@ class RunFile:
         return {
             "format_version": str(layout.FORMAT_VERSION), "graspwatch": __version__, "tool": rig.tool.name,
             "library": rig.library.name, "calibrated": calibration.date, "calibrated_by": calibration.person,
+            "force_scale": rig.tool.scale_in_words,
             "sample_rate_hz": f"{rig.tool.board.sample_rate_hz:g}",
             "clock": "log time: the sample clock, set to the computer's clock at the first sample; "
             "publish time: the computer's clock when the block had been read",

@@ -36,8 +36,8 @@ def grasp_table(report: Report, drawn: int) -> str:
     head = "".join(f'<th scope="col"{WORDS if name in IN_WORDS else ""}>{html.escape(name)}</th>' for name in COLUMNS)
     return (
         '<div class="grasps" tabindex="0" role="group" aria-label="All grasps"><table><caption>Convergence and force '
-        "error are of the filter of what was held. Dashed in the force: the limit that the limiter enforced, of which its "
-        "peak is a share; none where the recording does not say it.</caption>"
+        "error are of the filter of what was held. Dashed in the force: the limit that the limiter enforced; no line "
+        "and no share of it where the recording does not say it.</caption>"
         f"<thead><tr>{head}</tr></thead><tbody>{''.join(parts)}</tbody></table></div>"
     )
 

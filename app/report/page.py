@@ -57,9 +57,11 @@ def _summary(report: Report) -> str:
         for key, value in (report.stories[0].facts.items() if len(report.stories) == 1 else ())
     )
     tools = ", ".join(dict.fromkeys(story.tool.title for story in report.stories))
+    scales = "; ".join(dict.fromkeys(story.tool.scale_in_words for story in report.stories))
     return (
         f'<nav class="screen-only" aria-label="Sections"><ul class="menu">{menu}</ul></nav>'
         f'<ul class="facts">{facts}<li>tool: {html.escape(tools)}</li>'
+        f"<li>forces: {html.escape(scales)}</li>"
         f"<li>library: {html.escape(report.library.title)}</li></ul>"
         + table(Table("What was recorded and found", columns, rows), heading=False)
     )

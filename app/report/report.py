@@ -92,6 +92,7 @@ class Report:
             "title": story.title,
             "facts": plain(story.facts),
             "tool": story.tool.name,
+            "force_scale": story.tool.scale_in_words,
             "samples": len(story.traces),
             "lost_samples": story.lost_samples,
             "duration_s": story.duration_s,

@@ -13,7 +13,7 @@ from starlette.requests import ClientDisconnect
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import Safety
 from app.audit.deeds import note_deed
-from app.people.roles import needs, signed
+from app.people.roles import needs, signed, who_asks
 from app.problems import PROBLEM, ProblemError
 from app.routes.control import take_control
 from app.routes.paging import tell_page
@@ -49,6 +49,7 @@ async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> 
     note_deed(request, what=f"Start run {wanted.protocol}" + (f" on {wanted.tissue}" if wanted.tissue else ""))
     station = station_of(request)
     check_tool(station)
+    override = _override(request, wanted.unmeasured_scale)
     try:
         protocol = load_protocol(choose(wanted.protocol, available("protocols"), "protocol"))
     except ConfigurationError as error:
@@ -63,9 +64,26 @@ async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> 
     await _make_room(station)
     by = signed(request, wanted.by)
     try:
-        return await station.start_run(protocol, cycles, wanted.tissue or station.simulated_tissue, by)
+        return await station.start_run(
+            protocol, cycles, wanted.tissue or station.simulated_tissue, by, override
+        )
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+
+
+def _override(request: Request, reason: str | None) -> str:
+    """Why a tool may be armed whose force scale is not measured; empty where nobody says so or it needs no reason.
+
+    Raises:
+        ProblemError: somebody gives a reason who is no admin.
+    """
+    if reason is None or station_of(request).plan.tool.has_known_scale:
+        return ""
+    who = who_asks(request)
+    if who is None or not who.role.includes(Role.ADMIN):
+        detail = "Only an admin may arm a tool whose force scale is not measured."
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "unmeasured_scale")
+    return reason
 
 
 async def _make_room(station: Station) -> None:
@@ -106,7 +124,9 @@ async def arm(request: Request, wanted: ArmRequest | None = None) -> SafetyRepor
     station = station_of(request)
     check_tool(station)
     take_control(request)
-    await station.arming.arm(signed(request, wanted.by if wanted else None))
+    wanted = wanted or ArmRequest()
+    override = _override(request, wanted.unmeasured_scale)
+    await station.arming.arm(signed(request, wanted.by), override)
     return SafetyReport(safety=station.arming.safety)
 
 

@@ -2,11 +2,13 @@
 
 import os
 import platform
+from datetime import date
 from importlib.metadata import version
 
 from fastapi import APIRouter, Request
 
 from app import __version__
+from app.describe import constant_infos, force_scale_info
 from app.disk import free_bytes
 from app.people.roles import needs
 from app.routes.runs import station_of
@@ -31,5 +33,7 @@ async def system(request: Request) -> System:
         data_folder=str(plan.data),
         free_disk_bytes=free_bytes(plan.data),
         tool=plan.tool.model_dump(mode="json"),
+        constants=constant_infos(plan.tool, date.today()),
+        force_scale=force_scale_info(plan.tool),
         settings=plan.settings.model_dump(mode="json"),
     )

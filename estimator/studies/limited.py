@@ -98,7 +98,8 @@ def play(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settin
     acquisition = Acquisition(source, tool, settings.conditioning, hold_back, Safety.ARMED)
     acquisition.start("study", protocol_of(case, tool), case.grasps)
     teller = Teller(case, tool, library, settings)
-    in_force = ThresholdInForce(library, round(settings.limiter.limit_expires_s * tool.board.sample_rate_hz))
+    thresholds_n = library.shown_thresholds_n(tool).values()
+    in_force = ThresholdInForce(thresholds_n, round(settings.limiter.limit_expires_s * tool.board.sample_rate_hz))
     blocks, thresholds = [], []
     player = ProtocolPlayer(protocol_of(case, tool), tool, case.grasps)
     while acquisition.running or len(thresholds) < player.samples:

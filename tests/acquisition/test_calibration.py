@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from acquisition.calibration import JawSignals, from_jaw, to_jaw
 from config.load import load_tool
+from config.schema import ForceScale
 
 TOOL = load_tool("simulated")
 COUNT_DEG = 360 / (500 * 4 * 19)
@@ -21,6 +22,10 @@ SIGNALS = ("force_n", "displacement_m", "angle_rad", "newton_per_volt", "metre_p
 
 def jaw(strain_v: float, encoder_deg: float) -> JawSignals:
     return to_jaw(TOOL, np.array([strain_v]), np.array([encoder_deg]))
+
+
+def exact(scale: float) -> ForceScale:
+    return ForceScale(value=scale, low=scale, high=scale, measured=False, source="a test")
 
 
 def as_in_the_paper(strain_v: float, encoder_deg: float) -> tuple[float, float, float]:
@@ -78,7 +83,7 @@ def test_going_forth_and_back_gives_the_same_volts_and_degrees(strain_v: float, 
 
 @given(DEGREES, st.floats(0.1, 10.0))
 def test_an_unresolved_newton_scale_multiplies_force_and_leaves_displacement(encoder_deg: float, scale: float) -> None:
-    calibration = TOOL.calibration.model_copy(update={"jaw_force_scale": scale})
+    calibration = TOOL.calibration.model_copy(update={"jaw_force_scale": exact(scale)})
     scaled = to_jaw(TOOL.model_copy(update={"calibration": calibration}), np.array([0.5]), np.array([encoder_deg]))
     plain = jaw(0.5, encoder_deg)
     np.testing.assert_allclose(scaled.force_n, scale * plain.force_n, rtol=1e-12)

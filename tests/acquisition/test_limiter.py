@@ -13,7 +13,6 @@ from acquisition.limiter import HoldBack, ThresholdInForce, middle_of, why_stop
 from config.load import load_library, load_settings, load_tool
 
 TOOL = load_tool("simulated")
-LIMITS = TOOL.limits
 LIBRARY = load_library("porcine")
 LOWEST_N, HIGHEST_N = LIBRARY.lowest_threshold_n, LIBRARY.threshold_n("small_bowel")
 CEILING_N = 6.0  # above the highest injury threshold of the paper's tissues, 5.63 N
@@ -31,47 +30,47 @@ def test_the_motor_stops_exactly_when_the_mean_force_of_a_block_passes_the_ceili
     mean_n = sum(force_n) / len(force_n)
     if abs(mean_n - CEILING_N) < 1e-9:  # the order of summation decides
         return
-    why = why_stop(LIMITS, block(force_n))
+    why = why_stop(TOOL, block(force_n))
     assert (why is not None) == (mean_n > CEILING_N)
     if why:
         assert why == f"force {mean_n:.2f} N is over the ceiling of 6.00 N"
 
 
 def test_the_ceiling_itself_is_allowed() -> None:
-    assert why_stop(LIMITS, block([CEILING_N] * 5)) is None
+    assert why_stop(TOOL, block([CEILING_N] * 5)) is None
 
 
 def test_one_spike_of_the_strain_gage_does_not_end_a_grasp_but_five_samples_do() -> None:
-    assert why_stop(LIMITS, block([1.5, 1.5, 20.0, 1.5, 1.5])) is None
-    assert why_stop(LIMITS, block([20.0] * 5))
+    assert why_stop(TOOL, block([1.5, 1.5, 20.0, 1.5, 1.5])) is None
+    assert why_stop(TOOL, block([20.0] * 5))
 
 
 def test_a_push_the_other_way_is_no_grasp_force() -> None:
-    assert why_stop(LIMITS, block([-10.0] * 5)) is None
+    assert why_stop(TOOL, block([-10.0] * 5)) is None
 
 
 @pytest.mark.parametrize("grasp", [Flag.IN_GRASP, 0])
 def test_a_saturated_strain_gage_stops_it_whatever_force_it_seems_to_show(grasp: int) -> None:
-    assert UNKNOWN in why_stop(LIMITS, block([1.0] * 5, Flag.SATURATED | grasp))
-    assert UNKNOWN in why_stop(LIMITS, block([np.nan] * 5, Flag.SATURATED | Flag.INVALID | grasp))
+    assert UNKNOWN in why_stop(TOOL, block([1.0] * 5, Flag.SATURATED | grasp))
+    assert UNKNOWN in why_stop(TOOL, block([np.nan] * 5, Flag.SATURATED | Flag.INVALID | grasp))
 
 
 def test_one_saturated_sample_in_a_block_does_not() -> None:
-    assert why_stop(LIMITS, block([1.0] * 5, [0, Flag.SATURATED, 0, 0, 0])) is None
+    assert why_stop(TOOL, block([1.0] * 5, [0, Flag.SATURATED, 0, 0, 0])) is None
 
 
 def test_in_a_grasp_a_force_that_cannot_be_known_stops_it() -> None:
-    assert UNKNOWN in why_stop(LIMITS, block([np.nan] * 5, Flag.INVALID | Flag.IN_GRASP))
+    assert UNKNOWN in why_stop(TOOL, block([np.nan] * 5, Flag.INVALID | Flag.IN_GRASP))
 
 
 def test_between_grasps_an_encoder_that_walked_out_of_range_does_not() -> None:
     """The encoder is zeroed only where a grasp starts; until then its angle means nothing."""
-    assert why_stop(LIMITS, block([np.nan] * 5, Flag.INVALID)) is None
+    assert why_stop(TOOL, block([np.nan] * 5, Flag.INVALID)) is None
 
 
 def test_a_bad_sample_does_not_hide_a_force_over_the_ceiling() -> None:
     bad = Flag.IN_GRASP | Flag.INVALID
-    assert why_stop(LIMITS, block([50.0, 50.0, np.nan, 50.0, 50.0], [Flag.IN_GRASP] * 2 + [bad] + [Flag.IN_GRASP] * 2))
+    assert why_stop(TOOL, block([50.0, 50.0, np.nan, 50.0, 50.0], [Flag.IN_GRASP] * 2 + [bad] + [Flag.IN_GRASP] * 2))
 
 
 # --- the threshold in force ------------------------------------------------------------------------------------------
@@ -91,7 +90,7 @@ EXPIRES = 100
     ],
 )
 def test_a_threshold_counts_while_it_is_fresh_and_of_this_grasp(told_tick, now, grasp_start, counts) -> None:
-    threshold = ThresholdInForce(LIBRARY, EXPIRES)
+    threshold = ThresholdInForce((LOWEST_N, 3.4, HIGHEST_N), EXPIRES)
     assert threshold.at(now, grasp_start) == LOWEST_N
     threshold.tell(3.4, told_tick)
     assert threshold.at(now, grasp_start) == (3.4 if counts else LOWEST_N)
@@ -99,14 +98,14 @@ def test_a_threshold_counts_while_it_is_fresh_and_of_this_grasp(told_tick, now, 
 
 @pytest.mark.parametrize("threshold_n", [math.nan, math.inf, -math.inf, 0.0, 0.99 * LOWEST_N, 1.01 * HIGHEST_N])
 def test_a_threshold_that_no_tissue_of_the_library_can_have_is_not_followed(threshold_n: float) -> None:
-    threshold = ThresholdInForce(LIBRARY, EXPIRES)
+    threshold = ThresholdInForce((LOWEST_N, 3.4, HIGHEST_N), EXPIRES)
     threshold.tell(threshold_n, 500)
     assert threshold.at(500, 400) == LOWEST_N
 
 
 @given(st.lists(st.tuples(st.floats(0, 10), st.integers(0, 2000)), max_size=5), st.integers(0, 2000))
 def test_the_newest_word_decides_and_the_lowest_is_never_undercut(told: list[tuple[float, int]], now: int) -> None:
-    threshold = ThresholdInForce(LIBRARY, EXPIRES)
+    threshold = ThresholdInForce((LOWEST_N, 3.4, HIGHEST_N), EXPIRES)
     for threshold_n, tick in told:
         threshold.tell(threshold_n, tick)
     in_force = threshold.at(now, 0)
@@ -138,7 +137,7 @@ def in_a_grasp(number: int, force_n: list[float], contact_tick: int) -> np.ndarr
 
 @given(
     blocks=st.lists(
-        st.tuples(st.lists(ANY_FORCE, min_size=5, max_size=5), st.floats(0, LIMITS.max_command_v)), max_size=40
+        st.tuples(st.lists(ANY_FORCE, min_size=5, max_size=5), st.floats(0, TOOL.limits.max_command_v)), max_size=40
     ),
     contact_tick=st.integers(-1, 200),
     told_n=st.floats(allow_nan=True, allow_infinity=True),

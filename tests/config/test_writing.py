@@ -24,7 +24,7 @@ def measured(constant: str, value: float, expires: datetime.date = EXPIRES) -> M
 
 def write(into: Path, tool: str = "nidaq", value: float = 12.3456789) -> Path:
     values = {"calibration.newton_per_volt": value, "geometry.opening_m": 0.0102}
-    return write_calibrated(tool, values, [measured("newton_per_volt", value)], DAY, "a test", into)
+    return write_calibrated(tool, values, [measured("newton_per_volt", value)], DAY, into)
 
 
 def test_only_what_was_measured_is_another(tmp_path: Path) -> None:
@@ -35,10 +35,8 @@ def test_only_what_was_measured_is_another(tmp_path: Path) -> None:
     assert new["geometry"].pop("opening_m") == 0.0102
     [how] = new["calibration"].pop("measured")
     assert (how["constant"], how["value"]) == ("newton_per_volt", 12.3457)
-    assert new["calibration"].pop("expires") == datetime.date(2027, 2, 26)
-    assert (new["calibration"].pop("date"), new["calibration"].pop("person")) == ("2026-11-28", "a test")
-    for key in ("newton_per_volt", "date", "person"):
-        del old["calibration"][key]
+    assert how["expires"] == datetime.date(2027, 2, 26)
+    del old["calibration"]["newton_per_volt"]
     assert new == old
     comments = [line.partition("#")[2] for line in file_of_tool("nidaq").read_text().splitlines()]
     assert all(comment in path.read_text() for comment in comments)
@@ -54,20 +52,28 @@ def test_the_old_one_stays_and_the_next_one_follows_it(tmp_path: Path) -> None:
     assert load_tool(str(third)).calibration.newton_per_volt == 14.0
     assert len(load_tool(str(third)).calibration.measured) == 1  # the newest
     hash(load_tool(str(third)))  # it is a key of caches
-    assert load_tool(str(third)).calibration.is_expired(datetime.date(2027, 2, 26))
-    assert not load_tool(str(third)).calibration.is_expired(datetime.date(2027, 2, 25))
+    assert expired(third, EXPIRES) == ["newton_per_volt"]
+    assert expired(third, EXPIRES - datetime.timedelta(days=1)) == []
 
 
-def test_a_new_tare_makes_no_old_gain_newer(tmp_path: Path) -> None:
-    later = measured("rest_offset_v", 0.8, EXPIRES + datetime.timedelta(days=300))
-    first = write(tmp_path)
-    second = write_calibrated(str(first), {"calibration.rest_offset_v": 0.8}, [later], DAY, "a test", tmp_path)
-    assert load_tool(str(second)).calibration.expires == EXPIRES
-    third = write_calibrated(
-        str(second), {"calibration.newton_per_volt": 12.0}, [measured("newton_per_volt", 12.0, later.expires)], DAY,
-        "a test", tmp_path,
-    )  # fmt: skip
-    assert load_tool(str(third)).calibration.expires == later.expires
+def expired(path: Path, day: datetime.date) -> list[str]:
+    return [each.constant for each in load_tool(str(path)).expired(day)]
+
+
+def test_a_tare_leaves_an_expired_gain_expired_and_says_when_each_was_measured(tmp_path: Path) -> None:
+    """Also where the old file states one day for all constants."""
+    old = tmp_path / "old.toml"
+    text = file_of_tool("nidaq").read_text()
+    old.write_text(text.replace('person = "paper"', 'person = "paper"\nexpires = 2026-11-01', 1))
+    others = ["newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "jaw_force_scale"]
+    assert set(expired(old, DAY)) == {*others, "rest_offset_v", "strain_sd_v"}
+    tared = [measured("rest_offset_v", 0.8), measured("strain_sd_v", 0.002)]
+    path = write_calibrated(str(old), {"calibration.rest_offset_v": 0.8}, tared, DAY, tmp_path)
+    assert set(expired(path, DAY)) == {*others}
+    dates = {each.constant: (each.date, each.expires) for each in load_tool(str(path)).constants}
+    assert dates["rest_offset_v"] == ("2026-11-28", EXPIRES)
+    assert dates["newton_per_volt"] == ("2013-07-09", datetime.date(2026, 11, 1))
+    assert set(expired(path, EXPIRES)) == {*others, "rest_offset_v", "strain_sd_v"}
 
 
 def test_a_folder_that_cannot_be_written_to_is_told(tmp_path: Path) -> None:

@@ -2,12 +2,15 @@
 
 import threading
 import tomllib
+from datetime import date, timedelta
 from pathlib import Path
 
 import pytest
 from service import Service, until
 
 from config.load import CONFIG_DIR, load_tool
+from config.schema import Measured
+from config.writing import write_calibrated
 
 CALIBRATION = load_tool("simulated").calibration
 
@@ -103,15 +106,27 @@ def test_nothing_is_read_while_a_run_is_under_way(service: Service) -> None:
     assert "A run is under way" in answer.json()["detail"]
 
 
-def test_an_expired_calibration_is_told(tmp_path: Path) -> None:
+def test_each_expired_constant_is_told_by_name(tmp_path: Path) -> None:
+    """A tare of today leaves the others expired."""
     text = (CONFIG_DIR / "tools/simulated.toml").read_text()
     old = tmp_path / "old.toml"
     old.write_text(text.replace('person = "simulation"', 'person = "simulation"\nexpires = 2026-11-27', 1))
+    tared = Measured(
+        constant="rest_offset_v", value=0.82, low=0.81, high=0.83, unit="V", residual=0.002, residual_unit="V",
+        readings=10_000, date=date.today(), person="a test", expires=date.today() + timedelta(days=90),
+    )  # fmt: skip
+    old = write_calibrated(str(old), {"calibration.rest_offset_v": 0.82}, [tared], date.today(), tmp_path)
+    expired = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "opening_m", "strain_sd_v")
+    names = ", ".join(f"{name} (2026-11-27)" for name in expired)
     with Service("serve", "--tool", str(old)) as running:
         alarms = until(lambda: running.http.get("/api/alarms").json())
         assert [(each["priority"], each["text"]) for each in alarms] == [
-            ("low", "The tool's calibration expired on 2026-11-27: calibrate it anew before you trust forces")
+            ("low", f"The tool's calibration is expired: {names}. Measure anew before you trust forces")
         ]
-        realtime = running.http.get("/api/system").json()["realtime"]
+        system = running.http.get("/api/system").json()
+        assert {each["constant"]: each["expired"] for each in system["constants"]} == {
+            **dict.fromkeys(expired, True), "rest_offset_v": False, "jaw_force_scale": False,
+        }  # fmt: skip
+        realtime = system["realtime"]
         assert set(realtime) == {"acquisition", "estimator", "recorder", "server"}
         assert all(each.startswith("priority ") for each in realtime.values())

@@ -32,6 +32,7 @@ export class ForceCard {
     setAttribute(this.gauge, "aria-valuenow", Number.isFinite(share) ? String(Math.round(share * 100)) : "0");
     setAttribute(this.gauge, "aria-valuemax", String(GAUGE_END * 100));
     setText(byId("force-limit"), this.limitInWords(limit));
+    setText(byId("force-scale"), hello.tool.force_scale.text);
     const threshold = identification?.threshold_n ?? hello.lowest_threshold_n;
     const whose = this.whose(identification?.threshold_tissue ?? null);
     setText(byId("force-threshold"), `Alarms by the injury threshold of ${whose}, ${newtons(threshold)}`);

@@ -1,18 +1,17 @@
-import { byId, fill, setData, setText } from "../dom";
-import { bytes, count, duration, NO_VALUE } from "../format";
+import { byId, create, fill, setData } from "../dom";
+import { bytes, duration } from "../format";
 import { showHints } from "../shell/hints";
 import type { Page } from "../shell/router";
-import type { System } from "../wire";
+import type { ConstantInfo, System } from "../wire";
 import "../styles/pages.css";
 import { configuration } from "./configuration";
 import { showFacts } from "./facts";
 import { Journal } from "./journal";
 import { Polled } from "./polled";
-import { dateTime } from "./rows";
+import { dateTime, headCell } from "./rows";
 import markup from "./system.html?raw";
 
 const EVERY_MS = 5000;
-const DAY_MS = 86_400_000;
 
 /** What runs here, how the tool is calibrated and set up, and what happened. */
 export class SystemPage implements Page {
@@ -47,7 +46,7 @@ export class SystemPage implements Page {
     for (const dd of byId("service-workers").querySelectorAll("dd")) setData(dd, "warn", String(dd.textContent === "faulted"));
     showFacts(byId("service-realtime"), system.realtime);
     showFacts(byId("service-versions"), system.versions);
-    showCalibration(system.tool);
+    showCalibration(system);
     this.showConfiguration(system);
     return EVERY_MS;
   }
@@ -62,20 +61,17 @@ export class SystemPage implements Page {
   }
 }
 
-function showCalibration({ title, calibration }: System["tool"]): void {
-  const { date, person, expires } = (calibration ?? {}) as { date?: string; person?: string; expires?: string | null };
-  setText(byId("calibration-age"), ageInWords(date));
-  showFacts(byId("calibration-facts"), {
-    Calibrated: date ?? NO_VALUE,
-    By: person ?? NO_VALUE,
-    "Good until": expires ?? "not said",
-    Tool: String(title),
-  });
+function showCalibration({ tool, force_scale: scale, constants }: System): void {
+  showFacts(byId("calibration-facts"), { Tool: String(tool.title), Forces: scale.text, "Scale from": scale.source });
+  byId("calibration-constants").replaceChildren(...constants.map(constantRow));
 }
 
-function ageInWords(date: string | undefined): string {
-  const days = Math.floor((Date.now() - Date.parse(`${date}T00:00`)) / DAY_MS);
-  if (Number.isNaN(days)) return "Age not known";
-  if (days < 0) return "Dated in the future";
-  return days === 0 ? "Today" : `${count(days, "day")} old`;
+function constantRow({ constant, value, date, by, expires, expired }: ConstantInfo): HTMLTableRowElement {
+  const row = create("tr");
+  const name = headCell();
+  name.append(create("code", "", constant));
+  const until = create("td", "", expired ? `expired ${expires}` : (expires ?? "not said"));
+  setData(until, "warn", String(expired));
+  row.append(name, create("td", "number", String(Number(value.toPrecision(6)))), create("td", "", date), create("td", "roomy", by), until);
+  return row;
 }

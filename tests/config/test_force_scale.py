@@ -1,0 +1,72 @@
+"""The scale of newtons in a tool file: an interval, by whom, and what it means for what protects tissue."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from config.errors import ConfigurationError
+from config.load import file_of_tool, load_library, load_tool
+
+LIBRARY = load_library("porcine")
+MEASURED = """jaw_force_scale = { value = 0.1, low = 0.08, high = 0.12, measured = true, source = "load cell", \
+date = 2026-11-20, expires = 2027-11-20 }"""
+
+
+def tool_with(folder: Path, scale: str, name: str = "nidaq"):
+    """A shipped tool file with another line for the scale."""
+    text = re.sub(r"\[calibration\.jaw_force_scale\](\n|.)*?\n\n", "\n", file_of_tool(name).read_text())
+    path = folder / "tool.toml"
+    path.write_text(text.replace("rest_offset_v", f"{scale}\nrest_offset_v", 1))
+    return load_tool(str(path))
+
+
+def test_shipped_tools_say_by_which_scale_newtons_are() -> None:
+    assert load_tool("nidaq").scale_in_words == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
+    assert load_tool("smart_tool_2013").scale_in_words == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
+    assert load_tool("simulated").scale_in_words == "N by Eq. (2), scale exactly 1.0: simulated"
+    assert not load_tool("nidaq").has_known_scale, "a motor, and newtons that nobody measured"
+    assert all(load_tool(name).has_known_scale for name in ("smart_tool_2013", "simulated"))
+    assert load_tool("simulated").shown_n(1 / 3) == 1 / 3
+
+
+def test_what_protects_tissue_reckons_with_the_upper_end(tmp_path: Path) -> None:
+    tool = tool_with(tmp_path, MEASURED)
+    assert tool.scale_in_words == "N by Eq. (2), scale 0.1 (0.08 to 0.12), measured 2026-11-20"
+    assert tool.has_known_scale
+    assert tool.shown_n(1.2) == pytest.approx(1.0)
+    for tissue, shown_n in LIBRARY.shown_thresholds_n(tool).items():
+        assert shown_n == pytest.approx(LIBRARY.threshold_n(tissue) / 1.2)
+    assert tool.constants[-1].expires.isoformat() == "2027-11-20"
+
+
+@pytest.mark.parametrize("line", ["", "jaw_force_scale = 1.0", "jaw_force_scale = 0.2", "jaw_force_scale = 7"])
+def test_a_number_alone_is_not_measured_and_nothing_narrows_its_interval(tmp_path: Path, line: str) -> None:
+    tool = tool_with(tmp_path, line)
+    scale = tool.calibration.jaw_force_scale
+    assert not tool.has_known_scale
+    assert (scale.low, scale.high) == (0.05, max(scale.value, 1.0))
+    assert tool.calibration_fingerprint == tool_with(tmp_path, line).calibration_fingerprint
+
+
+def test_a_simulated_tool_of_before_is_exact(tmp_path: Path) -> None:
+    tool = tool_with(tmp_path, "jaw_force_scale = 0.5", "simulated")
+    assert (tool.force_factor, tool.has_known_scale) == (1.0, True)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (MEASURED.replace("low = 0.08", "low = 0.11"), "low <= value <= high"),
+        (MEASURED.replace("high = 0.12", "high = 0.09"), "low <= value <= high"),
+        (MEASURED.replace("low = 0.08", "low = 0.0"), "jaw_force_scale.low: Input should be greater than 0"),
+        (MEASURED.replace("date = 2026-11-20, ", ""), "needs the date"),
+        (MEASURED.replace(', source = "load cell"', ""), "jaw_force_scale.source: Field required"),
+        ("jaw_force_scale = 0.0", "calibration.jaw_force_scale: Input should be greater than 0"),
+        ("jaw_force_scale = nan", "jaw_force_scale"),
+        ("jaw_force_scale = true", "jaw_force_scale: Input should be an object"),
+    ],
+)
+def test_an_impossible_scale_is_refused(tmp_path: Path, line: str, says: str) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(says)):
+        tool_with(tmp_path, line)
