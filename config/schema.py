@@ -4,7 +4,6 @@ import datetime
 import hashlib
 import ipaddress
 import json
-import re
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Self

@@ -175,6 +175,8 @@ def test_a_replay_plays_pauses_seeks_and_is_marked_as_one(service, watch):
         play.click()
     expect(viewer.at("tissue-label")).to_have_text("Gallbladder")
     expect(viewer.at("tool-kind")).to_contain_text("SIMULATED")  # the live tool stays in sight
+    expect(viewer.at("force-limit")).to_have_text("No limit: this recording does not say any")
+    expect(viewer.at("force-threshold")).to_contain_text("Alarms by the injury threshold of")
     viewer.page.keyboard.press(" ")
     expect(play).to_have_text("Play")
     at = float(position.input_value())
@@ -204,7 +206,12 @@ def test_the_tissue_library_tells_every_profile(service, watch):
 def test_the_system_page_tells_versions_calibration_and_what_happened(service, watch):
     viewer = watch(service.url + "/system")
     expect(viewer.at("system-versions")).to_contain_text("nidaqmx")
-    expect(viewer.at("calibration")).to_contain_text("2026-11-22")
+    expect(viewer.at("calibration")).to_contain_text("scale exactly 1.0: simulated")
+    constants = viewer.at("calibration-constants").locator("tr")
+    expect(constants).to_have_count(7)
+    for row in constants.all():
+        expect(row).to_contain_text("2026-11-22")
+        expect(row).to_contain_text("not said")
     expect(viewer.at("system-realtime")).to_contain_text("priority")
     expect(viewer.at("journal")).to_contain_text("Run finished")
     expect(viewer.at("chain")).to_contain_text("none changed or missing")

@@ -27,7 +27,7 @@ export class ForceCard {
     setText(byId("force-now"), newtons(force));
     this.renderZone(share, limit, hello.warning_shares);
     this.renderPeak(force, limit);
-    this.renderLimiter(share);
+    this.renderLimiter(share, limit);
     setProperty(this.gauge, "--share", onGauge(share));
     setAttribute(this.gauge, "aria-valuenow", Number.isFinite(share) ? String(Math.round(share * 100)) : "0");
     setAttribute(this.gauge, "aria-valuemax", String(GAUGE_END * 100));
@@ -67,13 +67,13 @@ export class ForceCard {
   }
 
   /** How long until the limit is reached, and whether the limiter keeps the motor from it. */
-  private renderLimiter(share: number): void {
+  private renderLimiter(share: number, limit: number): void {
     const held = this.model.identification;
     const holding = held?.in_grasp === true && held.holding_back;
     setData(this.card, "holding", String(holding));
     const box = byId("force-holding");
     setHidden(box, !holding);
-    if (holding) setText(box, "Limiter is holding the motor back");
+    if (holding) setText(box, `Limiter is holding the motor back${Number.isFinite(limit) ? ` under ${newtons(limit)}` : ""}`);
     const left = held?.in_grasp ? held.time_to_limit_s : null;
     setText(byId("force-forecast"), left === null || share >= 1 ? "" : `Limit in ${shortTime(left)} at this rate`);
   }
