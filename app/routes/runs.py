@@ -123,9 +123,9 @@ async def arm(request: Request, wanted: ArmRequest | None = None) -> SafetyRepor
     """Tare the tool and test it at rest, so that it may move. A start does so itself, unless the settings forbid it."""
     station = station_of(request)
     check_tool(station)
-    take_control(request)
     wanted = wanted or ArmRequest()
     override = _override(request, wanted.unmeasured_scale)
+    take_control(request)
     await station.arming.arm(signed(request, wanted.by), override)
     return SafetyReport(safety=station.arming.safety)
 
