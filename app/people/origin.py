@@ -40,11 +40,12 @@ def is_allowed(asked: Authority, connection: HTTPConnection, hosts: Collection[s
 def comes_from_here(connection: HTTPConnection, hosts: Collection[str]) -> bool:
     """Whether a person or program on this computer asks: by address and by an allowed name, not through a proxy, and
     not because a page of another site says so."""
-    asked, client = asked_host(connection), connection.client
+    asked, client, own_page = asked_host(connection), connection.client, is_of_this_site(connection)
     if asked is None or client is None or forwarded_headers(connection):
         return False
-    site = connection.headers.getlist("sec-fetch-site")
-    return is_loopback(client.host) and is_allowed(asked, connection, hosts) and all(each in OWN_PAGES for each in site)
+    if own_page is None:  # browsers do not send `Origin` with all that they read
+        own_page = all(each in OWN_PAGES for each in connection.headers.getlist("sec-fetch-site"))
+    return is_loopback(client.host) and is_allowed(asked, connection, hosts) and own_page
 
 
 def forwarded_headers(connection: HTTPConnection) -> list[tuple[str, str]]:

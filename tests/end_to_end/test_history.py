@@ -1,5 +1,6 @@
 """What happened is still there after the service: over REST, with roles, and from the files."""
 
+import contextlib
 import json
 import os
 import subprocess
@@ -12,7 +13,10 @@ import pytest
 from service import PROGRAM, Service, until
 from simulation import joined, simulate_raw, write_lvm
 
-from config.load import CONFIG_DIR
+from app.store.database import index_url_of
+from app.store.questions import FileQuestion
+from app.store.store import Store
+from config.load import CONFIG_DIR, load_settings
 
 SIMULATED = joined(simulate_raw("bladder", cycles=1))
 
@@ -205,10 +209,10 @@ def test_a_run_that_was_deleted_and_restored_is_whole_also_after_a_rebuild_meanw
         assert binned["deleted_by"] == "Ada"
         restored = after.http.post(f"/api/bin/{binned['entry']}/restore", params={"by": "Ada"})
         assert restored.json() == deleted[0] | {"deleted_at": None, "deleted_by": None}
-        known = after.http.get("/api/files").json()
+        assert after.http.get("/api/files").json() == [restored.json()]
     rebuild_index(tmp_path)
-    with Service("serve", data=tmp_path) as again:
-        assert again.http.get("/api/files").json() == known == [restored.json()]
+    with contextlib.closing(Store(index_url_of(load_settings(), tmp_path))) as index:
+        assert [each.model_dump(mode="json") for each in index.files(FileQuestion()).items] == [restored.json()]
 
 
 def rebuild_index(data: Path) -> None:

@@ -144,7 +144,10 @@ def test_a_proxy_is_not_this_machine(name: str, value: str) -> None:
     ],
 )  # fmt: skip
 def test_a_request_that_another_sites_page_makes_is_not_the_persons(sites: list[str], here: bool) -> None:
-    assert comes_from_here(asked_by("127.0.0.1", *(("sec-fetch-site", each) for each in sites)), ()) is here
+    said = [("sec-fetch-site", each) for each in sites]
+    assert comes_from_here(asked_by("127.0.0.1", *said), ()) is here
+    assert not comes_from_here(asked_by("127.0.0.1", ("origin", "null"), *said), ())
+    assert comes_from_here(asked_by("127.0.0.1", ("origin", "http://localhost:8000"), *said), ())
 
 
 @pytest.mark.parametrize(
