@@ -55,7 +55,7 @@ class SampleBlock:
     `lost_samples` went missing right before the first one; `sequence` counts blocks, so that a receiver sees gaps.
     `run` says which run they belong to; empty between runs. With a run's first block everything begins anew: nothing of
     the samples before it has part in what is made of it. `safety` says where the tool stands after them, and `why` it
-    is faulted or was not armed.
+    is faulted or was not armed. `backlog` counts the samples after these that waited to be read.
     """
 
     sequence: int
@@ -65,3 +65,4 @@ class SampleBlock:
     run: str = ""
     safety: Safety = Safety.DISARMED
     why: str = ""
+    backlog: int = 0

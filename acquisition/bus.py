@@ -60,7 +60,7 @@ def subscriber(context: zmq.Context, *addresses: str) -> Any:
 
 
 def pack_samples(block: SampleBlock) -> list[bytes]:
-    names = ("sequence", "t_mono_ns", "lost_samples", "run", "safety", "why")
+    names = ("sequence", "t_mono_ns", "lost_samples", "run", "safety", "why", "backlog")
     header = {name: getattr(block, name) for name in names}
     return [SAMPLES, json.dumps(header).encode(), block.samples.tobytes()]
 

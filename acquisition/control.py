@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from acquisition.blocks import Flag, SampleBlock
-from acquisition.limiter import HoldBack, most_after, why_stop
+from acquisition.commands import CommandHistory, Commands
+from acquisition.limiter import HoldBack, middle_of, most_after, why_stop
 from acquisition.pipeline import Pipeline
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import IN_RUN, MOVING, WATCHED, Event, Safety, after
@@ -16,7 +17,9 @@ from config.errors import RefusedError
 from config.schema import Conditioning, Protocol, Tool
 
 ASTRAY_V = 0.25
-ASTRAY_BLOCKS = 20  # 100 ms: a reader that lags behind the board sees its commands late
+ASTRAY_S = 0.09  # by the board's clock; less may be a line that settles, or a driver that counts in bursts
+PROMPT_S = 0.01  # a reader this far behind its board is none that lags
+MOST_BEHIND_S = 1.0  # further behind, nobody knows the force
 HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
 
 
@@ -70,10 +73,14 @@ class Acquisition:
         self._ended: list[RunEnded] = []
         self._untested = "the tool did not stay at rest for long enough: try again"  # why not, when it was last judged
         self._hold_back = hold_back
-        self._held = 0  # HELD_BACK and LET_GO, of the samples that come next
+        self._held = 0  # HELD_BACK and LET_GO, of the command that is written next
         self._let_go: list[str] = []
-        self._command_v = 0.0
-        self._astray = 0  # blocks in a row whose command was read back wrong
+        rate_hz = tool.board.sample_rate_hz
+        self._prompt_samples, self._most_backlog = round(PROMPT_S * rate_hz), round(MOST_BEHIND_S * rate_hz)
+        self._commands = CommandHistory()
+        self._behind = 0  # samples that the reader has to catch up
+        self._astray_most = round(ASTRAY_S * rate_hz)
+        self._astray = 0  # samples in a row whose command was read back wrong
 
     @property
     def running(self) -> bool:
@@ -126,29 +133,26 @@ class Acquisition:
         """Motor to zero at once, whatever else is the case; returns whether a run was ended by it."""
         return self._end_run(Event.STOP, RunEnd.STOPPED, why)
 
-    def interrupt(self, why: str) -> None:
-        """End a run, as failed, whose samples nobody judged for a while; without a run nothing has happened."""
-        if self.safety in IN_RUN:
-            self._fault(why)
-
     def begin_anew(self, why: str) -> None:
         """Go on with a board that had to be opened again: a run has failed, and the tool has to be armed again."""
-        self._command_v = 0.0
-        self.interrupt(why)
+        self._commands, self._behind = CommandHistory(), 0
+        if self.running:
+            self.fail(why)
         self.disarm()
         if self.safety is Safety.DISARMED:
             self.why = why
         self._tare_anew()
 
-    def _fault(self, why: str) -> None:
+    def fail(self, why: str) -> None:
+        """Motor to zero at once; nothing starts before somebody has acknowledged this fault."""
         self._end_run(Event.FAULT, RunEnd.FAILED, why)
         self.why = why
 
     def _end_run(self, event: Event, end: RunEnd, why: str) -> bool:
-        self._write(0.0)
         self._held = 0
         if self._hold_back is not None:
             self._hold_back.rest()
+        self._write(0.0)
         self._happens(event)
         if not self.running:
             return False
@@ -174,21 +178,23 @@ class Acquisition:
             return None
         if self.running and self._player.begins:
             self._watch.begin_anew()  # with the tare
+        commands = self._commands.during(raw.first_tick, len(raw))
         limit_n = self._hold_back.limit_n if self._hold_back else math.nan
         run_id = self._run_id if self.running else ""
-        block = self._pipeline.process(replace(raw, limiter=self._held, limit_n=limit_n, run=run_id))
+        block = self._pipeline.process(replace(raw, limiter=commands.flags, limit_n=limit_n, run=run_id))
+        caught_up = self._caught_up(raw.backlog)
         self._self_test.take(block.samples)
         tare = self._pipeline.tare
         lost = self._watch.judge(block.samples, tare.rest_v if tare.measured else math.nan)
         if self.safety is Safety.TESTING:
             self._test(lost)
-        elif self.safety in WATCHED and (why := lost or self._why_stop(block)):
-            self._fault(why)
+        elif self.safety in WATCHED and (why := lost or self._why_stop(block, commands)):
+            self.fail(why)
         elif self._player is not None:
             if self._player.done:
                 self._end_run(Event.FINISH, RunEnd.FINISHED, "all cycles are done")
             else:
-                self._move(block, self._player.advance(len(raw)))
+                self._move(block, commands.likely_v, self._player.advance(len(raw) - caught_up))
         return replace(block, safety=self.safety, why=self.why)
 
     def _test(self, lost: str | None) -> None:
@@ -206,26 +212,34 @@ class Acquisition:
         self._pipeline.tare_anew()
         self._watch.begin_anew()
 
-    def _why_stop(self, block: SampleBlock) -> str | None:
+    def _caught_up(self, backlog: int) -> int:
+        """Samples of the last block, at most, that only made up for a delay of the reader.
+
+        The protocol stands still for as many: it goes no faster than time, whatever was held up.
+        """
+        before, self._behind = self._behind, max(backlog - self._prompt_samples, 0)
+        return min(max(before - self._behind, 0), self._tool.board.block_samples)
+
+    def _why_stop(self, block: SampleBlock, commands: Commands) -> str | None:
         """What forbids the motor to go on, of a run."""
         if self.safety not in IN_RUN:
             return None
-        return why_stop(self._tool, block.samples) or self._why_not_move(block)
+        return why_stop(self._tool, block.samples) or self._why_not_move(block, commands)
 
-    def _move(self, block: SampleBlock, wanted_v: float) -> None:
-        """Write what the protocol asks for, or as much of it as the limiter allows."""
+    def _move(self, block: SampleBlock, commands_v: list[float], wanted_v: float) -> None:
+        """Write what the protocol asks for, or as much as the limiter allows after a block taken under `commands_v`."""
         if self._hold_back is None:
             self._write(wanted_v)
             return
         was_let_go = self._hold_back.why_let_go
-        command_v, self._held = self._hold_back.judge(block.samples, wanted_v)
+        command_v, self._held = self._hold_back.judge(block.samples, commands_v, wanted_v)
         self._happens(_event_of(self._held))
         self._write(command_v)
         if (why := self._hold_back.why_let_go) and not was_let_go:
             self._let_go.append(why)
 
-    def _why_not_move(self, block: SampleBlock) -> str | None:
-        """What forbids the motor to start or to go on: no tare, or a command that does not arrive."""
+    def _why_not_move(self, block: SampleBlock, commands: Commands) -> str | None:
+        """What forbids the motor to start or to go on: no tare, samples read too late, a command not read back."""
         tare, calibration = self._pipeline.tare, self._tool.calibration
         if self._player and not self._player.at_rest and not tare.measured:
             seen_v = float(block.samples["strain_v"].mean())
@@ -233,19 +247,23 @@ class Acquisition:
                 f"the strain gage rests at {seen_v:.3f} V, the tool file expects {calibration.rest_offset_v:.3f} V "
                 f"within {calibration.rest_tolerance_v:.3f} V: it was not tared"
             )
-        off_v = abs(float(block.samples["motor_command_v"][-1]) - self._command_v)
-        self._astray = self._astray + 1 if off_v > ASTRAY_V else 0
-        if self._astray >= ASTRAY_BLOCKS:
-            return f"the motor command of {self._command_v:.2f} V is read back {off_v:.2f} V off: check its wiring"
+        if block.backlog > self._most_backlog:
+            late_s = block.backlog / self._tool.board.sample_rate_hz
+            return f"the samples were read {late_s:.1f} s late: the force is not known; end other programs"
+        off_v = middle_of(commands.off_by(block.samples["motor_command_v"].tolist()))
+        is_astray = off_v is None or off_v > ASTRAY_V
+        self._astray = self._astray + len(block.samples) if is_astray else 0
+        if self._astray >= self._astray_most:
+            off = "as no number" if off_v is None else f"{off_v:.2f} V off"
+            return f"the motor command of {commands.likely_v[-1]:.2f} V is read back {off}: check its wiring"
         return None
 
     def _write(self, command_v: float) -> None:
         """Set the command, or as much of it as may follow the last one; down it goes at once."""
-        most_v = most_after(self._command_v, self._tool) if self.safety in MOVING else 0.0
+        most_v = most_after(self._commands.last_v, self._tool) if self.safety in MOVING else 0.0
         command_v = min(command_v, most_v)
-        if command_v != self._command_v or command_v == 0.0:
-            self._source.write_command(command_v)
-            self._command_v = command_v
+        if (command_v, self._held) != (self._commands.last_v, self._commands.last_flags) or command_v == 0.0:
+            self._commands.add(self._source.write_command(command_v), self._held)
 
     def take_ended(self) -> list[RunEnded]:
         """Runs that ended since the last call."""

@@ -121,17 +121,18 @@ class HoldBack:
         """The injury threshold, N, that the samples up to `tick` speak for; it counts until it expires."""
         self._threshold.tell(threshold_n, tick)
 
-    def judge(self, samples: np.ndarray, wanted_v: float) -> tuple[float, int]:
+    def judge(self, samples: np.ndarray, commands_v: list[float], wanted_v: float) -> tuple[float, int]:
         """The command to write after a block where the protocol asks for `wanted_v`, V, and the flags that go with it.
 
-        `samples` (dtype SAMPLE) are those since the last call, under the command that it returned. Flags: HELD_BACK
-        where the command is lower than wanted, LET_GO where it is zero because the force was over the limit.
+        `samples` (dtype SAMPLE) are those since the last call, and `commands_v` the commands under which they were
+        taken, V. Flags: HELD_BACK where the command is lower than wanted, LET_GO where it is zero because the force was
+        over the limit.
         """
         last = samples[-1]
         threshold_n = self._threshold.at(int(last["tick"]), int(last["grasp_start_tick"]))
         self._followed.append(threshold_n)
         force_n = middle_of(samples["jaw_force_n"].tolist())
-        expected_n = self._expected.at_middle(int(samples["tick"][0]), len(samples), int(last["contact_tick"]))
+        expected_n = self._expected.at_middle(int(samples["tick"][0]), commands_v, int(last["contact_tick"]))
         self._touched |= bool(last["contact_tick"] >= 0)
         if wanted_v <= COMMAND_ON_V:  # between grasps
             self._learn()
@@ -183,7 +184,7 @@ class HoldBack:
         self._grasped = self._touched = False
 
     def _ask(self, command_v: float) -> float:
-        self._expected.asked_n, self._command_v = float(self._map.force(command_v)), command_v
+        self._command_v = command_v
         return command_v
 
     def _compare(self, strength: float, *, in_contact: bool) -> None:
@@ -200,12 +201,13 @@ class ExpectedForce:
     def __init__(self, tool: Tool) -> None:
         self._share = -math.expm1(-1.0 / (tool.board.sample_rate_hz * LAG_S))  # of a lag, in one sample
         self._block_share = -math.expm1(-tool.board.block_samples / (tool.board.sample_rate_hz * LAG_S))
-        self.asked_n = 0.0  # by the command that is on
+        self._map = tool.command_to_force
+        self._command_v, self._asked_n = 0.0, 0.0  # the command that was on last, and what it asks for
         self.driven_n, self._felt_n = 0.0, 0.0  # after the first lag and after both
         self._contact_tick = -1
 
-    def at_middle(self, first_tick: int, samples: int, contact_tick: int) -> float:
-        """Follow a block; returns the force, N, at its middle.
+    def at_middle(self, first_tick: int, commands_v: list[float], contact_tick: int) -> float:
+        """Follow a block taken under these commands, V; returns the force, N, at its middle.
 
         Jaws that came freely begin at no force when they touch, at `contact_tick`; until then it is -1.
         """
@@ -213,11 +215,13 @@ class ExpectedForce:
             self._felt_n = self.driven_n * (1.0 - (1.0 - self._share) ** max(first_tick - contact_tick, 0))
         self._contact_tick = contact_tick
         middle_n = self._felt_n
-        for i in range(samples):
-            self.driven_n += (self.asked_n - self.driven_n) * self._share
+        for i, command_v in enumerate(commands_v):
+            if command_v != self._command_v:
+                self._command_v, self._asked_n = command_v, float(self._map.force(command_v))
+            self.driven_n += (self._asked_n - self.driven_n) * self._share
             if first_tick + i >= contact_tick:
                 self._felt_n += (self.driven_n - self._felt_n) * self._share
-            if i == samples // 2:
+            if i == len(commands_v) // 2:
                 middle_n = self._felt_n
         return middle_n
 

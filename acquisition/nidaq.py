@@ -20,6 +20,7 @@ from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 from nidaqmx.system import Device, System
 
+from acquisition.commands import SampleCount, Written
 from acquisition.source import RawBlock
 from config.errors import RefusedError, ToolError
 from config.network import is_this_computer
@@ -70,7 +71,7 @@ class NidaqTool:
         self._clock = clock
         self._tasks: list[nidaqmx.Task] = []
         self._motor: AnalogSingleChannelWriter | None = None
-        self._next_tick = self._lost_samples = 0
+        self._opened_tick = self._next_tick = self._lost_samples = 0
         self._read_ns = 0
         self._block_samples = tool.board.block_samples
         self._timeout_s = self._block_samples / tool.board.sample_rate_hz + PATIENCE_S
@@ -88,13 +89,15 @@ class NidaqTool:
             encoder = self._open_encoder()
             analog = self._open_analog()
             encoder.start()  # waits for the start of the analog inputs, which drive its clock
+            begin_ns = self._clock()
             analog.start()
+            self._count = SampleCount(self._tool.board.sample_rate_hz, begin_ns, self._clock(), self._opened_tick)
         except _BOARD_ERRORS as error:
             raise self._fail(error) from error
         except BaseException:
             self._close()
             raise
-        self._next_tick = 0
+        self._next_tick = self._opened_tick
         return self
 
     def __exit__(
@@ -109,11 +112,10 @@ class NidaqTool:
         Raises:
             ToolError: as on entering.
         """
-        next_tick = self._next_tick
         self._close()
-        self.__enter__()
         self._lost_samples = round((self._clock() - self._read_ns) * 1e-9 * self._tool.board.sample_rate_hz)
-        self._next_tick = next_tick + self._lost_samples
+        self._opened_tick = self._next_tick + self._lost_samples
+        self.__enter__()
 
     def read_block(self) -> RawBlock:
         """The next `block_samples` samples.
@@ -126,6 +128,8 @@ class NidaqTool:
         try:
             got_v = self._analog_reader.read_many_sample(self._analog_v, n, self._timeout_s)
             got_deg = self._encoder_reader.read_many_sample_double(self._encoder_deg, n, self._timeout_s)
+            self._read_ns = self._clock()
+            taken = self._opened_tick + self._analog.in_stream.total_samp_per_chan_acquired
         except _BOARD_ERRORS as error:
             raise self._fail(error) from error
         except BaseException:  # interrupted between the two reads: the next pair would not belong together
@@ -133,8 +137,8 @@ class NidaqTool:
             raise
         if min(got_v, got_deg) < n:
             raise self._fail(DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, min(got_v, got_deg)))
+        self._count = SampleCount(self._tool.board.sample_rate_hz, self._read_ns, self._clock(), taken)
         analog_v = self._analog_v.copy()
-        self._read_ns = self._clock()
         block = RawBlock(
             first_tick=self._next_tick,
             t_mono_ns=self._read_ns,
@@ -144,31 +148,34 @@ class NidaqTool:
             touch_1_v=analog_v[2],
             touch_2_v=analog_v[3],
             lost_samples=self._lost_samples,
+            backlog=max(taken - self._next_tick - n, 0),
         )
         self._next_tick, self._lost_samples = self._next_tick + n, 0
         return block
 
-    def write_command(self, command_v: float) -> None:
-        """Set the motor command, V; it holds until the next write.
+    def write_command(self, command_v: float) -> Written:
+        """Set the motor command, V, and return from which tick on it holds.
 
         Raises:
             RefusedError: the command is beyond the tool's limits or not a number; the motor is at zero.
             ToolError: the board failed.
         """
         allowed = 0.0 <= command_v <= self._tool.limits.max_command_v  # False for NaN, too
-        self._write(command_v if allowed else 0.0)
+        written = self._write(command_v if allowed else 0.0)
         if not allowed:
             raise RefusedError(
                 f"{command_v} V is no motor command between 0 and {self._tool.limits.max_command_v} V; the motor is at "
                 "zero: correct the protocol, or max_command_v under [limits] in the tool file."
             )
+        return written
 
-    def _write(self, command_v: float) -> None:
-        motor = self._opened()
+    def _write(self, command_v: float) -> Written:
+        motor, begin_ns = self._opened(), self._clock()
         try:
             motor.write_one_sample(command_v, _WRITE_TIMEOUT_S)
         except _BOARD_ERRORS as error:
             raise self._fail(error) from error
+        return Written(command_v, self._count.least(begin_ns), self._count.most(self._clock()))
 
     def _opened(self) -> AnalogSingleChannelWriter:
         if self._motor is None:
@@ -202,7 +209,7 @@ class NidaqTool:
         return task
 
     def _open_analog(self) -> nidaqmx.Task:
-        task = self._new_task()
+        self._analog = task = self._new_task()
         channels = self._tool.channels
         for name in (channels.strain, channels.motor_command_readback, *channels.touch):
             task.ai_channels.add_ai_voltage_chan(

@@ -106,7 +106,7 @@ class Pipeline:
         samples["tissue_displacement_m"] = self._since_contact(samples)
 
         self._sequence += 1
-        return SampleBlock(self._sequence, raw.t_mono_ns, raw.lost_samples, samples, raw.run)
+        return SampleBlock(self._sequence, raw.t_mono_ns, raw.lost_samples, samples, raw.run, backlog=raw.backlog)
 
     def _segment(self, samples: np.ndarray, rest_v: np.ndarray) -> np.ndarray:
         """Follow the grasp sample by sample; returns the encoder's zero for each sample, degrees."""

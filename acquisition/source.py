@@ -7,6 +7,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from acquisition.commands import Written
+
 
 @dataclass(frozen=True, slots=True)
 class RawBlock:
@@ -16,6 +18,8 @@ class RawBlock:
     visible as `first_tick` running ahead; `lost_samples` says how many went missing right before.
     `limiter` holds the limiter's flags of each sample, or of all, and `limit_n` the limit that it enforced meanwhile, N
     (NaN: none); `run` says which run they belong to, if any.
+    `backlog` counts the samples after these that the board had already taken when these were read: more than a few, and
+    the reader lags.
     """
 
     first_tick: int
@@ -26,9 +30,10 @@ class RawBlock:
     touch_1_v: np.ndarray
     touch_2_v: np.ndarray
     lost_samples: int = 0
-    limiter: np.ndarray | int = 0
+    limiter: np.ndarray | list[int] | int = 0
     limit_n: np.ndarray | float = math.nan
     run: str = ""
+    backlog: int = 0
 
     def __len__(self) -> int:
         return len(self.strain_v)
@@ -54,6 +59,6 @@ class Source(Protocol):
         """
         ...
 
-    def write_command(self, command_v: float) -> None:
-        """Set the motor command, V; it holds until the next write. A recording ignores it."""
+    def write_command(self, command_v: float) -> Written:
+        """Set the motor command, V, and return from which tick on it holds. A recording ignores it."""
         ...

@@ -39,19 +39,19 @@ def open_bench(tool: Tool, library: TissueLibrary, reading: AbstractContextManag
     return Walk(tool, options, clock, reading)
 
 
-def open_for_calibration(tool: Tool) -> "Bench":
+def open_for_calibration(tool: Tool, reading: Callable[[], AbstractContextManager[None]]) -> "Bench":
     """The tool to be calibrated, see `Bench`; on a simulated one weights and gauges are put by themselves."""
     from acquisition.bench.measuring import Bench  # the worker has no use for it
 
     if tool.kind is ToolKind.NIDAQ:
-        return Bench(tool, session_options(tool), time.monotonic_ns)
+        return Bench(tool, session_options(tool), time.monotonic_ns, reading=reading)
     library = load_library("porcine")  # nothing of it is held
     options, clock, grasper = _simulated(tool, library, next(iter(library.tissues)), seed=0, virtual=False)
 
     def put(pull_n: float, gauge_m: float) -> None:
         grasper.hung_n, grasper.gauge_m = pull_n, gauge_m
 
-    return Bench(tool, options, clock, put)
+    return Bench(tool, options, clock, put, reading)
 
 
 def _simulated(

@@ -99,8 +99,8 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
 class _Stalls:
     """Takes turns, and notices when this process was held up: stopped, swapped out or suspended with the machine.
 
-    A run cannot go on after a stall, since nobody judged its force. Samples that the board kept meanwhile (10 s) are
-    read and published late; past that the board is opened again, and the samples in between are counted as lost.
+    Samples that the board kept meanwhile (10 s) are read and published late; past that, or after the guard's reset, the
+    board is opened again, and the samples in between are counted as lost.
     """
 
     def __init__(self, source: NidaqTool, acquisition: Acquisition, publisher: zmq.Socket) -> None:
@@ -124,7 +124,6 @@ class _Stalls:
             self._tell(why)
             return self.turn()
         if stalled := self._stalled():
-            self._acquisition.interrupt(stalled)
             self._tell(stalled)
         return block
 

@@ -60,6 +60,9 @@ class Metrics:
             buckets=LATENESS_BUCKETS_S,
             registry=registry,
         )
+        self.late_blocks = Counter(
+            "graspwatch_late_blocks", "Blocks read more than 0.1 s after their last sample", registry=registry
+        )
         self.worker_deaths = Counter(
             "graspwatch_worker_deaths", "Workers that died, by worker", ["worker"], registry=registry
         )

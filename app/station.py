@@ -63,6 +63,7 @@ from estimator.worker import unpack_estimates
 GRASPS_TOLD = 200  # of the last run, to a viewer who comes
 LITTLE_DISK_BYTES = 200e6  # a few minutes of a recording
 LOSS_SHOWN_S = 5.0
+LATE_S = 0.1  # samples read later than this are told
 CLOCK_DRIFT_S = 5e-7  # a block: 100 ppm between the board's clock and the computer's
 
 
@@ -99,7 +100,7 @@ class Station:
         self._promptest_s = float("inf")
         self._latency_ms: float | None = None
         self.lost_samples = 0
-        self._lost_s = 0.0
+        self._lost_s = self._late_s = 0.0
         self._free_bytes = free_bytes(plan.data)
         self._last_tick = -1
         self._limit_n: float | None = None
@@ -289,6 +290,7 @@ class Station:
         self.watchdog.heard("acquisition")
         self._rate.append((time.monotonic(), len(block.samples)))
         self._measure_lateness(block)
+        self._tell_lag(block)
         self.metrics.samples.inc(len(block.samples))
         self._count_lost(block.lost_samples + missing * len(block.samples))
         for follow in self.followers:
@@ -304,6 +306,15 @@ class Station:
             self._promptest_s = behind_s
         self._promptest_s = min(self._promptest_s + CLOCK_DRIFT_S, behind_s)
         self.metrics.acquisition_lateness.observe(behind_s - self._promptest_s)
+
+    def _tell_lag(self, block: SampleBlock) -> None:
+        """A reader that lags: the limiter, the estimates and the page come as much too late."""
+        if block.backlog <= LATE_S * self.plan.tool.board.sample_rate_hz:
+            return
+        self._late_s = time.monotonic()
+        self.metrics.late_blocks.inc()
+        text = f"Samples are read more than {LATE_S:g} s late, and the limiter acts as late: end other programs"
+        self.alarms.raise_technical("late", Priority.MEDIUM, text)
 
     def _new_teller(self) -> Teller:
         rate_hz = self.plan.tool.board.sample_rate_hz
@@ -340,7 +351,7 @@ class Station:
             self.alarms.end("index")
 
     def _watch_disk(self) -> None:
-        """Once a second: room for what is kept, and samples that were lost a while ago."""
+        """Once a second: room for what is kept, and samples that were lost or late a while ago."""
         self._free_bytes = free_bytes(self.plan.data)
         if self._free_bytes is None:
             self.alarms.raise_technical("disk", Priority.MEDIUM, f"The data folder {self.plan.data} is gone: mend it")
@@ -351,6 +362,8 @@ class Station:
             self.alarms.end("disk")
         if time.monotonic() - self._lost_s > LOSS_SHOWN_S:
             self.alarms.end("lost")
+        if time.monotonic() - self._late_s > LOSS_SHOWN_S:
+            self.alarms.end("late")
 
     def _watch_calibration(self) -> None:
         if self.plan.opened:

@@ -3,12 +3,13 @@
 import contextlib
 import multiprocessing
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 
 import numpy as np
 
 from acquisition.bench.checks import Signals
+from acquisition.commands import Written
 from acquisition.nidaq import NidaqTool, check_driver, reset_device
 from acquisition.source import RawBlock
 from config.errors import ToolError
@@ -48,12 +49,14 @@ class Jaws:
 
     def shut(self) -> float:
         """Close until the encoder stands; its angle then, degrees."""
-        command_v, last_deg, still = 0.0, float("inf"), 0
+        written, last_deg, still = self._source.write_command(0.0), float("inf"), 0
         for _ in range(blocks_in(CLOSING_S, self._tool)):
-            command_v = min(command_v + RISE_V, MOVE_V)
-            self._source.write_command(command_v)
-            now_deg = float(self.read().encoder_deg[-1])
-            still = still + 1 if command_v == MOVE_V and abs(now_deg - last_deg) < STANDS_DEG else 0
+            if written.command_v < MOVE_V:
+                written = self._source.write_command(min(written.command_v + RISE_V, MOVE_V))
+            block = self.read()
+            now_deg = float(block.encoder_deg[-1])
+            is_driven = written.command_v == MOVE_V and not is_before(block, written)
+            still = still + 1 if is_driven and abs(now_deg - last_deg) < STANDS_DEG else 0
             last_deg = now_deg
             if still >= STANDS_BLOCKS:
                 break
@@ -61,9 +64,20 @@ class Jaws:
 
     def hold(self, level_v: float) -> Signals:
         """What the sensors read once a level of the command has settled."""
-        self._source.write_command(level_v)
-        blocks = [self.read() for _ in range(LEVEL_BLOCKS)]
-        return joined(blocks[SETTLED_BLOCKS:])
+        written = self._source.write_command(level_v)
+        return settled_after(written, self.read)
+
+
+def is_before(block: RawBlock, written: Written) -> bool:
+    """Whether all of the block was taken before the command was on: a reader may lag."""
+    return block.first_tick + len(block) <= written.latest
+
+
+def settled_after(written: Written, read: Callable[[], RawBlock]) -> Signals:
+    """The next samples that were taken once the command had settled."""
+    while is_before(block := read(), written):
+        pass
+    return joined([block, *(read() for _ in range(LEVEL_BLOCKS - 1))][SETTLED_BLOCKS:])
 
 
 def blocks_in(seconds: float, tool: Tool) -> int:

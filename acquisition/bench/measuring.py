@@ -1,6 +1,8 @@
 """Takes the readings that a calibration is fitted to; the board is open only while one is read."""
 
+import contextlib
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 
 import nidaqmx
 import numpy as np
@@ -23,6 +25,8 @@ CLOSE_S, SHUT_S, STEP_S, LEVEL_S, OPEN_S = 0.5, 2.5, 0.01, 0.2, 1.0
 SETTLING_S = 0.08
 PASSES = 6
 LEVELS_V = tuple(np.linspace(0.1, MOVE_V, 9).tolist())
+LEVELS_PLAYED = [8, *(level for n in range(PASSES) for level in (range(7, -1, -1) if n % 2 == 0 else range(1, 9)))]
+"""In turn, from the highest one down and up again; each an index of `LEVELS_V`."""
 PEAK_SHARES = (0.4, 0.75)
 """Of a grasp's highest strain, between which shut jaws are closed further: 2.0 to 3.1 V on the recordings of 2013. A
 tenth more or less at either end moves the stretch by 1 %."""
@@ -35,9 +39,14 @@ class Bench:
     def __init__(
         self, tool: Tool, options: nidaqmx.GrpcSessionOptions | None, clock: Callable[[], int],
         put: Callable[[float, float], None] = lambda pull_n, gauge_m: None,
+        reading: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:  # fmt: skip
-        """`put(pull_n, gauge_m)`: the pull on the handle, and the gauge between the jaws, from the next reading on."""
+        """`put(pull_n, gauge_m)`: the pull on the handle, and the gauge between the jaws, from the next reading on.
+
+        Each reading is taken within `reading()`, which may ask the system for priority.
+        """
         self._tool, self._options, self._clock, self._put = tool, options, clock, put
+        self._reading = reading
 
     def at_rest(self) -> Signals:
         """The open jaws, for ten seconds.
@@ -57,7 +66,7 @@ class Bench:
 
     def _still(self, seconds: float, pull_n: float) -> Signals:
         self._put(pull_n, 0.0)
-        with NidaqTool(self._tool, self._options, self._clock) as source:
+        with self._reading(), NidaqTool(self._tool, self._options, self._clock) as source:
             return joined([source.read_block() for _ in range(blocks_in(seconds, self._tool))])
 
     def shut(self) -> list[Pass]:
@@ -82,8 +91,9 @@ class Bench:
         """`shutting`, armed and watched as any run."""
         self._put(0.0, gauge_m)
         tool, blocks = self._tool, []
-        with zeroed_at_death(tool), NidaqTool(tool, self._options, self._clock) as source:
-            acquisition = Acquisition(source, tool, Conditioning())
+        source = NidaqTool(tool, self._options, self._clock)
+        acquisition = Acquisition(source, tool, Conditioning())  # takes a while: before samples are due
+        with zeroed_at_death(tool), self._reading(), source:
             acquisition.arm()
             while acquisition.safety is Safety.TESTING:
                 acquisition.turn()
@@ -114,10 +124,8 @@ def signals_of(blocks: Sequence[SampleBlock]) -> Signals:
 
 def shutting() -> Protocol:
     """What shuts empty jaws gently, then lets the force on them fall and rise in steps: played like any protocol."""
-    down, up = LEVELS_V[-2::-1], LEVELS_V[1:]
-    levels_v = [MOVE_V, *(level_v for n in range(PASSES) for level_v in (down if n % 2 == 0 else up))]
     time_s, command_v = [0.0], [0.0]
-    for n, level_v in enumerate(levels_v):
+    for n, level_v in enumerate(LEVELS_V[level] for level in LEVELS_PLAYED):
         begin_s = time_s[-1] + (CLOSE_S if n == 0 else STEP_S)
         time_s += [begin_s, begin_s + (SHUT_S if n == 0 else LEVEL_S)]
         command_v += [level_v, level_v]
@@ -137,26 +145,26 @@ def passes_played(signals: Signals, tool: Tool) -> list[Pass]:
     held = np.abs(signals.readback_v - np.array(LEVELS_V)[nearest]) < (LEVELS_V[1] - LEVELS_V[0]) / 4
     level = np.where(held, nearest, -1)
     edges = np.flatnonzero(np.diff(level)) + 1
-    rate_hz, means = tool.board.sample_rate_hz, []
-    for piece in np.split(np.arange(len(level)), edges):
-        if level[piece[0]] < 0 or len(piece) < LEVEL_S / 2 * rate_hz:
-            continue
-        settled = piece[round(SETTLING_S * rate_hz) :] if means else piece[-round(LEVEL_S / 2 * rate_hz) :]
-        means.append(
-            (level[piece[0]], float(signals.strain_v[settled].mean()), float(signals.encoder_deg[settled].mean()))
-        )
+    rate_hz, steps = tool.board.sample_rate_hz, len(LEVELS_V) - 1
+    pieces = np.split(np.arange(len(level)), edges)
+    pieces = [piece for piece in pieces if level[piece[0]] >= 0 and len(piece) >= LEVEL_S / 2 * rate_hz]
+    found = [int(level[piece[0]]) for piece in pieces]
+    begin = found.index(steps) if steps in found else 0  # a ramp that was held up on its way counts for nothing
+    pieces, found = pieces[begin : begin + PASSES * steps + 1], found[begin : begin + PASSES * steps + 1]
     driven = np.flatnonzero(signals.readback_v > COMMAND_ON_V)
-    steps = len(LEVELS_V) - 1
-    if len(means) != PASSES * steps + 1 or not len(driven) or driven[0] < rate_hz * REST_S / 2:
+    if found != LEVELS_PLAYED or not len(driven) or driven[0] < rate_hz * REST_S / 2:
         raise CalibrationError("The jaws were not closed and opened as they had to be: repeat, and touch nothing.")
+    settled = [piece[round(SETTLING_S * rate_hz) :] for piece in pieces]
+    settled[0] = pieces[0][-round(LEVEL_S / 2 * rate_hz) :]
+    strain_v = np.array([signals.strain_v[piece].mean() for piece in settled])
+    encoder_deg = np.array([signals.encoder_deg[piece].mean() for piece in settled])
     rest_v = float(signals.strain_v[: driven[0]].mean())
     open_deg = float(signals.encoder_deg[: driven[0]].mean())
-    turned = checks.encoder_direction(means[0][2] - open_deg, tool)
+    turned = checks.encoder_direction(float(encoder_deg[0]) - open_deg, tool)
     if turned.outcome is Outcome.FAIL:
         raise CalibrationError(f"Broken off, {turned.check}: {turned.text}")
-    _, strain_v, encoder_deg = (np.array(column) for column in zip(*means, strict=True))
-    found = [slice(n * steps, (n + 1) * steps + 1) for n in range(PASSES)]
-    return [Pass(strain_v[each] - rest_v, encoder_deg[each] - open_deg) for each in found]
+    passes = [slice(n * steps, (n + 1) * steps + 1) for n in range(PASSES)]
+    return [Pass(strain_v[each] - rest_v, encoder_deg[each] - open_deg) for each in passes]
 
 
 def passes_in(recording: Recording) -> list[Pass]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from acquisition.bench import checks
 from acquisition.bench.checks import Finding, Outcome
-from acquisition.bench.jaws import LEVEL_BLOCKS, SETTLED_BLOCKS, Jaws, blocks_in, joined, zeroed_at_death
+from acquisition.bench.jaws import Jaws, blocks_in, joined, settled_after, zeroed_at_death
 from acquisition.nidaq import NidaqTool, check_driver, look_at_board
 from config.errors import ToolError
 from config.schema import Tool
@@ -102,8 +102,8 @@ class Walk:
         if "motor at zero" in failed:
             yield from _not_done((AFTER,), "motor at zero")
             return
-        after = [source.read_block() for _ in range(LEVEL_BLOCKS)][SETTLED_BLOCKS:]
-        yield replace(checks.command_at_zero(joined(after), tool), check=AFTER)
+        after = settled_after(source.write_command(0.0), source.read_block)
+        yield replace(checks.command_at_zero(after, tool), check=AFTER)
 
     def _moving(self, source: NidaqTool, jaws: Jaws) -> Iterator[Finding]:
         """Shut the empty jaws gently, then let them go step by step."""
@@ -125,16 +125,14 @@ class Walk:
             yield from _not_done(("encoder scale",), direction.check)
 
     def _delay(self, source: NidaqTool, jaws: Jaws) -> int:
-        """Samples between the last one known when the command goes to zero and the first that is read back so."""
-        source.write_command(0.0)
-        behind = 0
+        """Samples from the write of a command of zero to the first that is read back so."""
+        written = source.write_command(0.0)
         for _ in range(blocks_in(0.5, self._tool)):
-            volts = jaws.read().motor_command_v
-            low = np.flatnonzero(volts < LEVELS_V[-1] / 2)
+            block = jaws.read()
+            low = np.flatnonzero(block.motor_command_v < LEVELS_V[-1] / 2)
             if len(low):
-                return behind + int(low[0])
-            behind += len(volts)
-        return behind
+                break
+        return block.first_tick + (int(low[0]) if len(low) else len(block)) - written.earliest
 
 
 def _not_done(names: tuple[str, ...], failed: str) -> Iterator[Finding]:

@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from pydantic import ValidationError
 
+from acquisition.commands import Written
 from acquisition.recordings.container import ANOTHER_COPY, MAGIC, Container
 from acquisition.recordings.layout import LIMIT, RAW, RAW_ROWS, SIGNALS, TOOL
 from acquisition.recordings.lvm import LONGEST_S, read_lvm
@@ -141,8 +142,9 @@ class Recording:
         stops = [*recorded.ends[own : own + 1].tolist(), *(row for row in recorded.runs if row > at)]
         return min([end, *stops])
 
-    def write_command(self, command_v: float) -> None:
+    def write_command(self, command_v: float) -> Written:
         """A recording's motor has long stopped."""
+        return Written(0.0, 0, 0)
 
 
 def tool_of(container: Container) -> Tool:

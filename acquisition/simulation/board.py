@@ -281,6 +281,14 @@ class SimulatedBoard:
         samples = self._read(name, count, timeout_s)
         return [sample[column] for column in self.task(name).columns for sample in samples], len(samples)
 
+    def taken(self, name: str) -> int:
+        """Samples that the task has taken since its start, read or not."""
+        with self._lock:
+            self._check_present()
+            self._advance()
+            self._readable(name)
+            return self._produced
+
     def read_encoder(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
         """As `read_analog`, in degrees as the task was told to scale the counts."""
         samples = self._read(name, count, timeout_s)

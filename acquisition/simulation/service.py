@@ -105,6 +105,10 @@ class BoardService(NiDAQmxServicer):
         return pb.GetReadAttributeUInt32Response(value=len(self._board.task(request.task.name).channels))
 
     @_answers
+    def GetReadAttributeUInt64(self, request: pb.GetReadAttributeUInt64Request) -> pb.GetReadAttributeUInt64Response:
+        return pb.GetReadAttributeUInt64Response(value=self._board.taken(request.task.name))  # no other is asked for
+
+    @_answers
     def CreateAIVoltageChan(self, request: pb.CreateAIVoltageChanRequest) -> pb.CreateAIVoltageChanResponse:
         self._board.add_channel(request.task.name, Kind.ANALOG_IN, request.physical_channel)
         return pb.CreateAIVoltageChanResponse()

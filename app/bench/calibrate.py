@@ -62,9 +62,11 @@ class _Session:
         """The tool, for measuring."""
         if self.tool.kind is ToolKind.RECORDING:
             raise ConfigurationError(f"The tool {self.tool.name!r} is for recordings: name the real one with --tool.")
-        from acquisition.tools import open_for_calibration  # takes a second
+        from acquisition.process import at_realtime  # takes a second
+        from acquisition.tools import open_for_calibration
+        from acquisition.worker import REALTIME_PRIORITY
 
-        return open_for_calibration(self.tool)
+        return open_for_calibration(self.tool, partial(at_realtime, REALTIME_PRIORITY))  # as the worker reads it
 
     def say(self, text: str) -> None:
         errors.print(escape(text), soft_wrap=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from acquisition.blocks import SampleBlock
 from acquisition.bus import ForceLimit
+from acquisition.commands import Written
 from acquisition.control import Acquisition, RunEnd
 from acquisition.limiter import HoldBack, ThresholdInForce
 from acquisition.protocol import ProtocolPlayer
@@ -51,8 +52,9 @@ class GrasperSource:
         tick, self._tick = self._tick, self._tick + self._block_samples
         return RawBlock(tick, 0, strain_v, encoder_deg, command_v, touch_1_v, touch_2_v)
 
-    def write_command(self, command_v: float) -> None:
+    def write_command(self, command_v: float) -> Written:
         self._command_v = command_v
+        return Written(command_v, self._tick, self._tick)
 
 
 @dataclass(frozen=True, slots=True)

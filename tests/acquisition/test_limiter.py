@@ -128,6 +128,18 @@ def test_the_middle_force_is_one_that_was_measured_or_none(force_n: list[float])
         assert sum(value > middle for value in known) <= len(known) / 2
 
 
+class Prompt:
+    """A limiter whose reader is prompt: each block was taken under the command that the last call returned."""
+
+    def __init__(self) -> None:
+        self.hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+        self._command_v = 0.0
+
+    def judge(self, samples: np.ndarray, wanted_v: float) -> tuple[float, int]:
+        self._command_v, flags = self.hold_back.judge(samples, [self._command_v] * len(samples), wanted_v)
+        return self._command_v, flags
+
+
 def in_a_grasp(number: int, force_n: list[float], contact_tick: int) -> np.ndarray:
     samples = block(force_n)
     samples["tick"] = 5 * number + np.arange(5)
@@ -145,10 +157,10 @@ def in_a_grasp(number: int, force_n: list[float], contact_tick: int) -> np.ndarr
 def test_whatever_is_felt_the_command_is_never_more_than_asked_for_nor_less_than_zero(
     blocks: list[tuple[list[float], float]], contact_tick: int, told_n: float
 ) -> None:
-    hold_back, before_v = HoldBack(TOOL, LIBRARY, load_settings().limiter), 0.0
+    prompt, before_v = Prompt(), 0.0
     for number, (force_n, wanted_v) in enumerate(blocks):
-        hold_back.allow(told_n, 5 * number)
-        command_v, flags = hold_back.judge(in_a_grasp(number, force_n, contact_tick), wanted_v)
+        prompt.hold_back.allow(told_n, 5 * number)
+        command_v, flags = prompt.judge(in_a_grasp(number, force_n, contact_tick), wanted_v)
         assert 0.0 <= command_v <= wanted_v
         assert (command_v < wanted_v) == bool(flags & Flag.HELD_BACK)
         assert command_v <= before_v + 0.3 + 1e-6 or wanted_v <= COMMAND_ON_V  # 60 V/s, 5 ms
@@ -158,14 +170,14 @@ def test_whatever_is_felt_the_command_is_never_more_than_asked_for_nor_less_than
 
 
 def test_a_grasp_that_was_let_go_stays_so_until_the_protocol_asks_for_zero() -> None:
-    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    prompt = Prompt()
     for number in range(40):
-        hold_back.judge(in_a_grasp(number, [1.5] * 5, 0), 2.0)
+        prompt.judge(in_a_grasp(number, [1.5] * 5, 0), 2.0)
     let_go = Flag.HELD_BACK | Flag.LET_GO
-    assert hold_back.judge(in_a_grasp(40, [LOWEST_N + 0.01] * 5, 0), 2.0) == (0.0, let_go)
-    assert hold_back.judge(in_a_grasp(41, [0.0] * 5, 0), 1.0) == (0.0, let_go)
-    assert hold_back.judge(in_a_grasp(42, [0.0] * 5, -1), 0.0) == (0.0, 0)
-    command_v, flags = hold_back.judge(in_a_grasp(43, [0.0] * 5, -1), 0.5)
+    assert prompt.judge(in_a_grasp(40, [LOWEST_N + 0.01] * 5, 0), 2.0) == (0.0, let_go)
+    assert prompt.judge(in_a_grasp(41, [0.0] * 5, 0), 1.0) == (0.0, let_go)
+    assert prompt.judge(in_a_grasp(42, [0.0] * 5, -1), 0.0) == (0.0, 0)
+    command_v, flags = prompt.judge(in_a_grasp(43, [0.0] * 5, -1), 0.5)
     assert command_v > 0
     assert not flags & Flag.LET_GO
 
@@ -173,25 +185,25 @@ def test_a_grasp_that_was_let_go_stays_so_until_the_protocol_asks_for_zero() -> 
 @pytest.mark.parametrize(("share", "is_let_go"), [(1.04, False), (1.06, True)])
 def test_a_force_that_passes_the_limit_by_more_than_noise_is_let_go_at_once(share: float, is_let_go: bool) -> None:
     margin = load_settings().limiter.margin
-    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
-    hold_back.judge(in_a_grasp(0, [1.5] * 5, 0), 2.0)
-    _, flags = hold_back.judge(in_a_grasp(1, [share * margin * LOWEST_N] * 5, 0), 2.0)
+    prompt = Prompt()
+    prompt.judge(in_a_grasp(0, [1.5] * 5, 0), 2.0)
+    _, flags = prompt.judge(in_a_grasp(1, [share * margin * LOWEST_N] * 5, 0), 2.0)
     assert bool(flags & Flag.LET_GO) is is_let_go
 
 
 def test_a_limit_that_falls_below_the_force_is_followed_before_the_grasp_is_let_go() -> None:
-    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    prompt = Prompt()
     let_go_at = 0
     for number in range(60):
-        hold_back.allow(HIGHEST_N if number < 30 else LOWEST_N, 5 * number)
-        _, flags = hold_back.judge(in_a_grasp(number, [0.9 * LOWEST_N] * 5, 0), 2.0)
+        prompt.hold_back.allow(HIGHEST_N if number < 30 else LOWEST_N, 5 * number)
+        _, flags = prompt.judge(in_a_grasp(number, [0.9 * LOWEST_N] * 5, 0), 2.0)
         let_go_at = let_go_at or (number if flags & Flag.LET_GO else 0)
     assert 50 <= let_go_at <= 52  # 100 ms
 
 
 def test_a_force_that_is_not_known_lets_nothing_go_and_leaves_the_limit() -> None:
-    hold_back = HoldBack(TOOL, LIBRARY, load_settings().limiter)
+    prompt = Prompt()
     for number in range(40):
-        command_v, flags = hold_back.judge(in_a_grasp(number, [math.nan] * 5, 0), 3.5)
+        command_v, flags = prompt.judge(in_a_grasp(number, [math.nan] * 5, 0), 3.5)
         assert flags == Flag.HELD_BACK
     assert command_v == pytest.approx(2.25, abs=0.01)  # what the map tells for 93 % of 1.80 N

@@ -1,0 +1,93 @@
+"""Which motor command was on when a sample was taken: told by the board's own count of samples, not by the reader's.
+
+A reader that lags reads samples that were taken under commands long replaced. So each write is kept with the ticks
+between which it took effect, and each sample is compared with the command of its own tick.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from itertools import islice
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A motor command, V: off at samples before tick `earliest`, on at those from tick `latest` on, unknown between."""
+
+    command_v: float
+    earliest: int
+    latest: int
+
+
+@dataclass(frozen=True, slots=True)
+class Commands:
+    """The commands of consecutive samples, V: the bounds of what may have been on, and what most likely was; flags."""
+
+    low_v: list[float]
+    high_v: list[float]
+    likely_v: list[float]
+    flags: list[int]
+
+    def off_by(self, readback_v: list[float]) -> list[float]:
+        """By how much each read-back is beyond the bounds, V; infinite where it is no number."""
+        bounds = zip(readback_v, self.low_v, self.high_v, strict=True)
+        return [max(low - v, v - high, 0.0) if math.isfinite(v) else math.inf for v, low, high in bounds]
+
+
+class SampleCount:
+    """How many samples a board has taken at any moment, as far as it told when it was asked last."""
+
+    def __init__(self, rate_hz: float, asked_ns: int, answered_ns: int, count: int = 0) -> None:
+        """It had taken `count` samples at some moment between `asked_ns` and `answered_ns`."""
+        self._per_ns = rate_hz * 1e-9
+        self._asked_ns, self._answered_ns, self._count = asked_ns, answered_ns, count
+
+    def least(self, at_ns: int) -> int:
+        """At `at_ns`, not before the answer."""
+        return self._count + math.floor((at_ns - self._answered_ns) * self._per_ns)
+
+    def most(self, at_ns: int) -> int:
+        """At `at_ns`, not before the question."""
+        return self._count + math.ceil((at_ns - self._asked_ns) * self._per_ns)
+
+
+class CommandHistory:
+    """Keeps written commands for as long as samples that were taken under them may come."""
+
+    def __init__(self) -> None:
+        self._writes: deque[tuple[Written, int]] = deque([(Written(0.0, 0, 0), 0)])
+
+    @property
+    def last_v(self) -> float:
+        """The command written last, V."""
+        return self._writes[-1][0].command_v
+
+    @property
+    def last_flags(self) -> int:
+        return self._writes[-1][1]
+
+    def add(self, written: Written, flags: int) -> None:
+        """Keep a command; `flags` say of it what the limiter did (`Flag`)."""
+        before = self._writes[-1][0]
+        earliest, latest = max(written.earliest, before.earliest), max(written.latest, before.latest)
+        self._writes.append((Written(written.command_v, earliest, latest), flags))
+
+    def during(self, first_tick: int, samples: int) -> Commands:
+        """The commands of samples from `first_tick` on; later calls ask for later samples."""
+        commands = Commands([], [], [], [])
+        for tick in range(first_tick, first_tick + samples):
+            while len(self._writes) > 1 and self._writes[1][0].latest <= tick:
+                self._writes.popleft()
+            likely, flags = self._writes[0]
+            low_v = high_v = likely.command_v
+            for written, its_flags in islice(self._writes, 1, None):
+                if written.earliest > tick:
+                    break
+                low_v, high_v = min(low_v, written.command_v), max(high_v, written.command_v)
+                if (written.earliest + written.latest) // 2 <= tick:
+                    likely, flags = written, its_flags
+            commands.low_v.append(low_v)
+            commands.high_v.append(high_v)
+            commands.likely_v.append(likely.command_v)
+            commands.flags.append(flags)
+        return commands
