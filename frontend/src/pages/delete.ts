@@ -9,7 +9,7 @@ export function deleteButton(name: string, person: Person, told: (text: string |
   button.type = "button";
   button.dataset.testid = "recording-delete";
   button.ariaLabel = `Delete ${name}`;
-  const question = askFirst(button, `Move ${name} to the bin?`, "Move to the bin", () => {
+  const question = askFirst(button, "Move it to the bin?", "Move to the bin", () => {
     person.withName((by) => {
       deletePath(`/api/recordings/${encodeURIComponent(name)}?by=${encodeURIComponent(by)}`).then(
         () => told(null),
