@@ -135,4 +135,4 @@ def test_the_limiter_says_that_it_holds_the_motor_back(service, watch):
     expect(viewer.at("force-limit")).to_have_text("Limit 1.80 N, enforced by the limiter")
     expect(viewer.at("force-scale")).to_have_text("N by Eq. (2), scale exactly 1.0: simulated")
     expect(viewer.at("grasps")).to_contain_text("held back")
-    expect(viewer.at("grasps")).to_contain_text(re.compile(r"9\d %"))  # of that limit
+    expect(viewer.at("grasps")).to_contain_text(re.compile(r"9\d\s%"))  # of that limit
