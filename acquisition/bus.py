@@ -34,6 +34,8 @@ class Endpoints:
     recorder: str
     guard: str
     foxglove: str
+    server: str
+    """Signs of life of the server's event loop."""
 
     @classmethod
     def in_folder(cls, folder: Path) -> "Endpoints":

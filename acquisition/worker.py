@@ -13,6 +13,7 @@ from acquisition.limiter import HoldBack
 from acquisition.nidaq import NidaqTool
 from acquisition.process import StopFlag, become_worker, take_realtime
 from acquisition.safety import Safety
+from acquisition.server_watch import ServerWatch
 from acquisition.tools import open_tool
 from config.errors import GraspwatchError, RefusedError, ToolError
 from config.schema import Conditioning, Limiter, Protocol, Realtime, TissueLibrary, Tool
@@ -39,6 +40,7 @@ class Setup:
     limiter: Limiter
     realtime: Realtime
     begin: Event  # set once the tool may be opened
+    server_silence_s: float
     fault: str = ""  # that a worker before this one died of, with the motor armed
 
 
@@ -61,11 +63,13 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
     """Read the tool for as long as the service lives; between blocks, take force limits and obey commands."""
     source, grasper = open_tool(setup.tool, setup.library, setup.tissue, setup.seed)
     limits = bus.newest_of(context, setup.endpoints.limits)
+    signs_of_life = bus.newest_of(context, setup.endpoints.server)
     commands = context.socket(zmq.REP)
     commands.bind(setup.endpoints.commands)
     hold_back = HoldBack(setup.tool, setup.library, setup.limiter)
     safety = Safety.FAULTED if setup.fault else Safety.DISARMED
     acquisition = Acquisition(source, setup.tool, setup.conditioning, hold_back, safety, setup.fault)
+    server = ServerWatch(setup.server_silence_s)
     while not setup.begin.wait(LOOKS_EVERY_S):
         if stop.set:
             return
@@ -82,16 +86,22 @@ def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: Stop
             if limits.poll(0):
                 limit = bus.unpack_limit(limits.recv())
                 acquisition.allow(limit.threshold_n, limit.tick)
+            if signs_of_life.poll(0):
+                signs_of_life.recv()
+                server.heard()
             for _ in range(MOST_COMMANDS):
                 if not commands.poll(0):
                     break
                 command = bus.unpack_command(commands.recv())
+                server.heard()
                 answer = _obey(command, acquisition)
                 if isinstance(command, bus.Start) and command.tissue and grasper and not answer.refused:
                     grasper.hold(command.tissue)
                 if isinstance(command, bus.Put) and grasper:
                     grasper.hung_n, grasper.gauge_m = command.pull_n, command.gauge_m
                 commands.send(bus.pack_answer(answer))
+            if (why := server.look(time.monotonic())) and acquisition.running:
+                acquisition.fail(why)
         acquisition.stop("the service was ended")
         _tell_news(acquisition, publisher)
 

@@ -18,6 +18,7 @@ from app.wire import Alarm, AlarmKind, Phase, Priority
 LATENESS_BUCKETS_S = tuple(
     ms / 1e3 for ms in (0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
 )
+SERVER_DELAY_BUCKETS_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 2.0)
 
 
 class Metrics:
@@ -62,6 +63,12 @@ class Metrics:
         )
         self.late_blocks = Counter(
             "graspwatch_late_blocks", "Blocks read more than 0.1 s after their last sample", registry=registry
+        )
+        self.server_delay = Histogram(
+            "graspwatch_server_delay_seconds",
+            "How late the event loop, which carries STOP, came to send a sign of life",
+            buckets=SERVER_DELAY_BUCKETS_S,
+            registry=registry,
         )
         self.worker_deaths = Counter(
             "graspwatch_worker_deaths", "Workers that died, by worker", ["worker"], registry=registry

@@ -63,6 +63,8 @@ from estimator.worker import unpack_estimates
 GRASPS_TOLD = 200  # of the last run, to a viewer who comes
 LITTLE_DISK_BYTES = 200e6  # a few minutes of a recording
 LOSS_SHOWN_S = 5.0
+SIGN_OF_LIFE_S = 0.05
+"""From one to the next; a run ends when they stop for `server_silence_s`, which is at least six of them."""
 LATE_S = 0.1  # samples read later than this are told
 CLOCK_DRIFT_S = 5e-7  # a block: 100 ppm between the board's clock and the computer's
 
@@ -128,6 +130,7 @@ class Station:
             self._listen(endpoints.guard, self._on_guard),
             self._listen(endpoints.foxglove, self._on_foxglove),
             self._tick(),
+            self._show_life(endpoints.server),
         ):
             task = asyncio.create_task(work)
             self.watch_over(task)
@@ -500,6 +503,18 @@ class Station:
             if current:
                 self._end_run(current.id, RunState.FAILED, "the acquisition worker died")
         self.tell_state()
+
+    async def _show_life(self, address: str) -> None:
+        """Tell the acquisition that the event loop, which carries STOP, goes round. Belongs into no other thread."""
+        signs = bus.publisher(self._context, address)
+        try:
+            while True:
+                asked_s = time.monotonic()
+                await signs.send(b"")
+                await asyncio.sleep(SIGN_OF_LIFE_S)
+                self.metrics.server_delay.observe(max(time.monotonic() - asked_s - SIGN_OF_LIFE_S, 0.0))
+        finally:
+            signs.close()
 
     # --- what the viewers get ----------------------------------------------------------------------------------------
 

@@ -76,6 +76,7 @@ class Supervisor:
         acquisition = acquisition_worker.Setup(
             os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings.conditioning,
             plan.tissue, plan.seed, plan.settings.limiter, plan.settings.realtime, self._begin,
+            plan.settings.safety.server_silence_s,
         )  # fmt: skip
         estimator = estimator_worker.Setup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
         rig = Rig(plan.tool, plan.library, plan.settings)

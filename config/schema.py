@@ -806,9 +806,13 @@ class Identification(Model):
 
 
 class Arming(Model):
-    """Arming takes a tare and a self-test at rest; with `arm_with_start` a start does it where nobody has before."""
+    """Arming takes a tare and a self-test at rest; with `arm_with_start` a start does it where nobody has before.
+
+    A run ends with the motor at zero once its server has been silent for `server_silence_s`: STOP comes through it.
+    """
 
     arm_with_start: bool = True
+    server_silence_s: Annotated[float, Field(ge=0.3, le=10.0)] = 1.0
 
 
 class Limiter(Model):

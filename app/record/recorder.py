@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections import deque
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,12 @@ from acquisition.blocks import SampleBlock
 from acquisition.recordings import layout
 from app.disk import free_bytes
 from app.record.run_file import FLUSH_S, Rig, RunFile
+from app.record.topics import RUN, read, write
+from app.wire import Run, RunState
 from config.schema import Protocol
 
 ENDING = ".mcap"
+PATIENCE_S = 10.0  # and so long a server that hangs may take to tell what came of the run
 GRACE_S = 0.2  # estimates come after their samples, a run's last words after its last sample
 DEMONSTRATION = "demo-"  # begins the id of a demonstration's run
 
@@ -55,7 +59,7 @@ class Recorder:
         self._settings = rig.settings.recording
         self._before = int(self._settings.before_s * rate_hz)
         self._after = int(self._settings.after_s * rate_hz)
-        self._grace = int(GRACE_S * rate_hz)
+        self._grace, self._patience = int(GRACE_S * rate_hz), int(PATIENCE_S * rate_hz)
         self._last_sequence = 0  # of the block written last
         self._blocks: deque[SampleBlock] = deque()
         self._estimates: deque[Estimated] = deque()
@@ -65,6 +69,8 @@ class Recorder:
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._run = ""
         self._until: int | None = None  # tick; None while the run goes on
+        self._told_run: Run | None = None  # as the server told it last
+        self._end: Run | None = None  # the same with its end, as the acquisition told it
         self._flushed_s = 0.0
         self.file: RunFile | None = None
         self.finished: list[Path] = []  # since somebody took them
@@ -88,7 +94,7 @@ class Recorder:
                 self._begin(block)
             elif self.file and not block.run and self._until is None:
                 self._until = tick + self._after
-            if self.file and self._until is not None and tick >= self._until + self._grace:
+            if self.file and self._until is not None and tick >= self._until + self._waits:
                 self.end()
             if self.file and (self._until is None or tick < self._until):
                 self.file.add_samples(block)
@@ -114,15 +120,36 @@ class Recorder:
     def tell(self, topic: str, content: bytes) -> None:
         """A message of `app/record/topics.py`."""
         at_ns = time.monotonic_ns() + self._wall_offset_ns
+        if topic == RUN:
+            self._told_run = Run.model_validate(read(topic, content))
         if self.file:
             self.file.tell(topic, content, at_ns)
         if self._brief and self._brief.run_id != self._run:
             self._told.append((topic, content, at_ns))
 
+    def run_ended(self, run_id: str, end: RunState, why: str) -> None:
+        """The acquisition's own words of a run's end, which count where the server hangs and does not tell it."""
+        if self._told_run and self._told_run.id == run_id:
+            update = {"state": end, "why": why, "ended_at": datetime.now(UTC).isoformat()}
+            self._end = self._told_run.model_copy(update=update)
+
+    @property
+    def _untold(self) -> Run | None:
+        """A run's end that the server has not told yet."""
+        told, end = self._told_run, self._end
+        return end if told and end and told.id == end.id and told.state is RunState.RUNNING else None
+
+    @property
+    def _waits(self) -> int:
+        """Samples after the last one of a file, for what is still to be told."""
+        return self._patience if self._untold else self._grace
+
     def end(self, why: str = "") -> None:
         """Make the file whole, if one is being written."""
         if self.file is None:
             return
+        if untold := self._untold:
+            self.tell(RUN, write(untold))
         file, self.file, self._until = self.file, None, None
         self._early.clear()
         self.finished.append(file.path)

@@ -14,6 +14,7 @@ from acquisition.process import StopFlag, become_worker, bound_memory, serving_p
 from app.record.mend import mend_folder
 from app.record.recorder import Brief, Estimated, Recorder, RecordingStoppedError
 from app.record.run_file import Rig
+from app.wire import RunState
 from estimator.blocks import estimate_dtype
 
 POLL_MS = 100
@@ -94,8 +95,11 @@ class _Work:
                 self._recorder.tell(*bus.unpack_told(parts))
             case bus.NOTICE:
                 notice = bus.unpack_notice(parts)
-                if notice.pop("kind") == "brief":
-                    self._recorder.brief(Brief(**notice))
+                match notice.pop("kind"):
+                    case "brief":
+                        self._recorder.brief(Brief(**notice))
+                    case "run_ended":
+                        self._recorder.run_ended(notice["run_id"], RunState(notice["end"]), notice["why"])
 
     def _say(self) -> None:
         """How it stands, which also says that this process is alive."""

@@ -4,6 +4,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,6 +12,9 @@ from acquisition.blocks import SAMPLE, SampleBlock
 from app.record.reading import read_run
 from app.record.recorder import Brief, Estimated, Recorder
 from app.record.run_file import Rig
+from app.record.topics import RUN as RUN_TOPIC
+from app.record.topics import write
+from app.wire import Run, RunState
 from config.load import load_library, load_protocol, load_settings, load_tool
 from estimator.blocks import estimate_dtype
 
@@ -50,3 +54,33 @@ def test_no_estimate_is_lost_whichever_comes_first(leads: list[int]) -> None:
         assert recorder.file is None
         kept = read_run(Path(folder) / "20261128-120000-001.mcap")
     np.testing.assert_array_equal(kept.estimates["threshold_n"], 1 + kept.samples["tick"] // BLOCK)
+
+
+RUN_ID = "20261128-120000-001"
+BEGUN = Run(
+    id=RUN_ID, protocol=PROTOCOL.name, cycles=1, tissue="liver", by=None, state=RunState.RUNNING,
+    started_at="2026-11-28T12:00:00+00:00", ended_at=None, why=None, grasps=0,
+)  # fmt: skip
+PATIENCE = 2000  # blocks
+
+
+@pytest.mark.parametrize("told_after", [None, 1000], ids=["never told", "told five seconds late"])
+def test_a_server_that_hangs_leaves_the_end_of_its_run_in_the_file(tmp_path: Path, told_after: int | None) -> None:
+    """The acquisition says how it ended; the server, once it is back, tells the grasps, too, and has the last word."""
+    recorder = Recorder(tmp_path, RIG)
+    recorder.brief(Brief(RUN_ID, PROTOCOL.model_dump_json(), 1, "liver", None))
+    recorder.tell(RUN_TOPIC, write(BEGUN))
+    for number in range(1, BEFORE + RUN + AFTER + PATIENCE):
+        recorder.take_samples(block(number))
+        recorder.take_estimates(estimated(number))
+        after = number - BEFORE - RUN
+        if after == 0:
+            recorder.run_ended(RUN_ID, RunState.FAILED, "the server was not heard")
+        if after == told_after:
+            ended = BEGUN.model_copy(update={"state": RunState.FAILED, "why": "told", "grasps": 3})
+            recorder.tell(RUN_TOPIC, write(ended))
+        assert (recorder.file is None) == (number <= BEFORE or after > (told_after or 200 + PATIENCE))
+    kept = read_run(tmp_path / f"{RUN_ID}.mcap")
+    assert kept.run.state is RunState.FAILED
+    assert (kept.run.why, kept.run.grasps) == (("told", 3) if told_after else ("the server was not heard", 0))
+    assert len(kept.samples) == BLOCK * (BEFORE + RUN + 200)

@@ -20,8 +20,15 @@ def chatter(number, frame):
         logging.getLogger("graspwatch").error("x" * 1000)
 
 
+def compute(number, frame):
+    end_s = time.monotonic() + 2.5
+    while time.monotonic() < end_s:
+        pass
+
+
 signal.signal(signal.SIGUSR1, fail)
 signal.signal(signal.SIGUSR2, hog)
-signal.signal(signal.SIGRTMIN, lambda number, frame: time.sleep(2.0))
+signal.signal(signal.SIGRTMIN, lambda number, frame: time.sleep(0.6))
 signal.signal(signal.SIGRTMIN + 1, chatter)
 signal.signal(signal.SIGRTMIN + 2, lambda number, frame: time.sleep(3600.0))
+signal.signal(signal.SIGRTMIN + 3, compute)
