@@ -34,21 +34,25 @@ class Commands:
         return [max(low - v, v - high, 0.0) if math.isfinite(v) else math.inf for v, low, high in bounds]
 
 
+@dataclass(frozen=True, slots=True)
 class SampleCount:
-    """How many samples a board has taken at any moment, as far as it told when it was asked last."""
+    """How many samples a board has taken, as it told last: `count` at a moment between `asked_ns` and `answered_ns`.
 
-    def __init__(self, rate_hz: float, asked_ns: int, answered_ns: int, count: int = 0) -> None:
-        """It had taken `count` samples at some moment between `asked_ns` and `answered_ns`."""
-        self._per_ns = rate_hz * 1e-9
-        self._asked_ns, self._answered_ns, self._count = asked_ns, answered_ns, count
+    From there on the clocks of board and computer count alike: 100 ppm of difference are 0.1 samples in a second.
+    """
+
+    rate_hz: float
+    asked_ns: int
+    answered_ns: int
+    count: int = 0
 
     def least(self, at_ns: int) -> int:
         """At `at_ns`, not before the answer."""
-        return self._count + math.floor((at_ns - self._answered_ns) * self._per_ns)
+        return self.count + math.floor((at_ns - self.answered_ns) * self.rate_hz / 1e9)
 
     def most(self, at_ns: int) -> int:
         """At `at_ns`, not before the question."""
-        return self._count + math.ceil((at_ns - self._asked_ns) * self._per_ns)
+        return self.count + math.ceil((at_ns - self.asked_ns) * self.rate_hz / 1e9)
 
 
 class CommandHistory:

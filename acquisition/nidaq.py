@@ -31,6 +31,7 @@ _BOARD_ERRORS = (DaqBaseError, OSError)
 
 PATIENCE_S = 0.008  # beyond the duration of a block: without samples nobody knows the force
 _WRITE_TIMEOUT_S = 1.0
+ASK_AGAIN_NS, PROMPT_ANSWER_NS, OLD_ANSWER_NS = 100_000_000, 2_000_000, 1_000_000_000
 _CHANNEL = (("grpc.max_reconnect_backoff_ms", 200), ("grpc.initial_reconnect_backoff_ms", 50))
 
 _IN_USE = "Another program uses {device}: close it, then start again."
@@ -129,7 +130,7 @@ class NidaqTool:
             got_v = self._analog_reader.read_many_sample(self._analog_v, n, self._timeout_s)
             got_deg = self._encoder_reader.read_many_sample_double(self._encoder_deg, n, self._timeout_s)
             self._read_ns = self._clock()
-            taken = self._opened_tick + self._analog.in_stream.total_samp_per_chan_acquired
+            self._count_samples(self._read_ns)
         except _BOARD_ERRORS as error:
             raise self._fail(error) from error
         except BaseException:  # interrupted between the two reads: the next pair would not belong together
@@ -137,7 +138,6 @@ class NidaqTool:
             raise
         if min(got_v, got_deg) < n:
             raise self._fail(DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, min(got_v, got_deg)))
-        self._count = SampleCount(self._tool.board.sample_rate_hz, self._read_ns, self._clock(), taken)
         analog_v = self._analog_v.copy()
         block = RawBlock(
             first_tick=self._next_tick,
@@ -148,10 +148,20 @@ class NidaqTool:
             touch_1_v=analog_v[2],
             touch_2_v=analog_v[3],
             lost_samples=self._lost_samples,
-            backlog=max(taken - self._next_tick - n, 0),
+            backlog=max(self._count.least(self._read_ns) - self._next_tick - n, 0),
         )
         self._next_tick, self._lost_samples = self._next_tick + n, 0
         return block
+
+    def _count_samples(self, now_ns: int) -> None:
+        """Ask the board now and then; an answer that took long is worth less than an older one, for a while."""
+        age_ns = now_ns - self._count.asked_ns
+        if self._next_tick > self._opened_tick and age_ns < ASK_AGAIN_NS:
+            return
+        taken = self._opened_tick + self._analog.in_stream.total_samp_per_chan_acquired
+        answered_ns = self._clock()
+        if answered_ns - now_ns <= PROMPT_ANSWER_NS or age_ns > OLD_ANSWER_NS:
+            self._count = SampleCount(self._tool.board.sample_rate_hz, now_ns, answered_ns, taken)
 
     def write_command(self, command_v: float) -> Written:
         """Set the motor command, V, and return from which tick on it holds.

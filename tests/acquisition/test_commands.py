@@ -42,7 +42,7 @@ def test_the_bounds_hold_the_command_that_was_on(offset_ns: int, lag: int, turns
         board.now_ns += before_ns
         taken = board.taken()
         board.now_ns += answer_ns
-        count = SampleCount(RATE_HZ, asked_ns, board.now_ns, taken)
+        count = SampleCount(RATE_HZ, asked_ns, board.now_ns, taken)  # the board is asked at every turn
         if next_tick + 5 <= taken:
             commands = history.during(next_tick, 5)
             truth = [
