@@ -43,6 +43,11 @@ class Endpoints:
         return cls(*(f"ipc://{folder}/{each.name}-{tag}" for each in fields(cls)))
 
 
+def fields_of(record: Any) -> dict[str, Any]:
+    """The fields of a dataclass by name, as they are; `asdict` copies what is inside them, for ten times as long."""
+    return {name: getattr(record, name) for name in record.__dataclass_fields__}
+
+
 def publisher(context: zmq.Context, address: str) -> zmq.Socket:
     socket = context.socket(zmq.PUB)
     socket.setsockopt(zmq.SNDHWM, MINUTE_OF_BLOCKS)
@@ -135,7 +140,7 @@ class ForceLimit:
 
 
 def pack_limit(limit: ForceLimit) -> bytes:
-    return json.dumps(asdict(limit)).encode()
+    return json.dumps(fields_of(limit)).encode()
 
 
 def unpack_limit(message: bytes) -> ForceLimit:

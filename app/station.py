@@ -61,6 +61,7 @@ from estimator.blocks import finite
 from estimator.worker import unpack_estimates
 
 GRASPS_TOLD = 200  # of the last run, to a viewer who comes
+MOST_AT_A_TIME = 50  # messages of the workers, before anything else gets its turn
 LITTLE_DISK_BYTES = 200e6  # a few minutes of a recording
 LOSS_SHOWN_S = 5.0
 SIGN_OF_LIFE_S = 0.05
@@ -87,7 +88,7 @@ class Station:
         self.demo: str | None = "The demonstration begins as soon as the tool is ready" if plan.demo else None
         self.internal_error: str | None = None
         self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED else None
-        self._context = zmq.asyncio.Context()
+        self._context, self._sources = zmq.asyncio.Context(), zmq.Context()
         self._commander = Commander(self._context, self.supervisor.endpoints.commands)
         self.arming = Arming(self._commander, self.alarms, self.supervisor, self.tell_event)
         self.recorder = RecorderLink(plan, self.supervisor.endpoints.events, self.alarms, self.index, self.tell_event)
@@ -182,6 +183,7 @@ class Station:
             await self.recorder.aclose()
             await self._commander.aclose()
             self._context.destroy(linger=0)
+            self._sources.destroy(linger=0)
 
     # --- commands ----------------------------------------------------------------------------------------------------
 
@@ -263,11 +265,27 @@ class Station:
     # --- what the workers say ----------------------------------------------------------------------------------------
 
     async def _listen(self, address: str, take: Callable[[list[bytes]], None]) -> None:
-        socket = bus.subscriber(self._context, address)
+        """Hand what is published at the address to `take`.
+
+        The loop watches the socket itself: a future for each message took as long as what is done with it.
+        """
+        loop, readable = asyncio.get_running_loop(), asyncio.Event()
+        socket = bus.subscriber(self._sources, address)
+        loop.add_reader(socket.FD, readable.set)
+        readable.set()  # what came before the line above is not told
         try:
             while True:
-                take(await socket.recv_multipart())
+                await readable.wait()
+                readable.clear()
+                for _ in range(MOST_AT_A_TIME):
+                    if not socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                        break
+                    take(socket.recv_multipart(zmq.NOBLOCK))
+                else:
+                    readable.set()
+                    await asyncio.sleep(0)
         finally:
+            loop.remove_reader(socket.FD)
             socket.close()
 
     def _on_acquisition(self, parts: list[bytes]) -> None:

@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 from pydantic import BaseModel
 
+from acquisition.bus import fields_of
 from app.alarms import RANK, AlarmBook
 from app.wire import EventMessage, Grasp, Identification, Priority
 from config.schema import TissueLibrary
@@ -46,7 +47,7 @@ class Teller:
 
     def _identify(self, block: EstimateBlock, at_ms: float) -> None:
         """At every change, and ten times a second during a grasp."""
-        message = Identification(server_time_ms=at_ms, **asdict(block.identification))
+        message = Identification(server_time_ms=at_ms, **fields_of(block.identification))
         before, self.identification = self.identification, message
         if message.holding_back and not self._held_back:
             at = "" if message.limit_n is None else f" at {message.limit_n:.2f} N"

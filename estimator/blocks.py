@@ -1,5 +1,7 @@
 """What the estimator publishes: estimates sample by sample, the identification so far, and finished grasps."""
 
+import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +9,7 @@ import numpy as np
 from estimator.alarms import ForceAlarm
 
 
+@functools.cache
 def estimate_dtype(tissues: int) -> np.dtype:
     """One sample's estimates for K filters. NaN where a filter has none: no tissue held, jaws shut, or diverged."""
     each = (tissues,)
@@ -112,4 +115,4 @@ class EstimateBlock:
 
 def finite(value: float) -> float | None:
     """None in place of NaN or infinity."""
-    return float(value) if np.isfinite(value) else None
+    return float(value) if math.isfinite(value) else None

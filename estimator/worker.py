@@ -97,7 +97,7 @@ def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:
         "published_ns": time.monotonic_ns(),
         "lost_samples": block.lost_samples,
         "missing_blocks": missing_blocks,
-        "identification": asdict(block.identification),
+        "identification": bus.fields_of(block.identification),
         "ended": [asdict(grasp) for grasp in block.ended],
         "alarms": [asdict(alarm) for alarm in block.alarms],
         "withdrawn": [asdict(withdrawal) for withdrawal in block.withdrawn],
