@@ -21,7 +21,7 @@ import { Theme } from "./shell/theme";
 const model = new Model();
 const session = new Session();
 const person = new Person(session);
-const stop = new StopButton(person);
+const stop = new StopButton(model, person);
 const status = new StatusStrip(model);
 const staleness = new Staleness(model);
 const sound = new AlarmSound();
@@ -117,7 +117,7 @@ function render(): void {
 function watch(): void {
   const now = performance.now();
   const lost = staleness.render(now);
-  alarms.render([...lost, ...stop.alarms(), ...status.alarms()], now);
+  alarms.render([...lost, ...stop.alarms(now), ...status.alarms()], now);
 }
 
 const connection = new Connection("/api/live", {

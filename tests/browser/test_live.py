@@ -187,6 +187,22 @@ def test_a_stop_that_cannot_be_sent_says_so_and_stays(service, watch):
         expect(viewer.at("stop-message")).to_contain_text("The motor is at zero")
 
 
+def test_a_stop_that_a_hanging_server_did_not_take_ends_by_itself_once_the_tool_stands_still(watch):
+    with Service("serve") as running:
+        viewer = watch(running.url)
+        expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live", timeout=5_000)
+        running.run(protocol="trapezoid_025hz", cycles=20, tissue="bladder")
+        os.kill(running.process.pid, signal.SIGSTOP)
+        try:
+            viewer.page.keyboard.press("Escape")
+            expect(viewer.at("stop-message")).to_contain_text("use the hardware switch", timeout=8_000)
+            expect(viewer.at("alarm-bar")).to_have_attribute("data-priority", "high")
+        finally:
+            os.kill(running.process.pid, signal.SIGCONT)
+        expect(viewer.at("stop-message")).to_contain_text("The motor is at zero", timeout=10_000)
+        expect(viewer.at("alarm-bar")).not_to_contain_text("STOP not sent")
+
+
 @pytest.mark.parametrize(("width", "height"), SIZES)
 def test_what_counts_is_in_sight_on_every_screen(service, watch, width, height):
     viewer = watch(service.url, width=width, height=height)

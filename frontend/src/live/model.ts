@@ -8,6 +8,10 @@ import { SampleRing } from "./ring";
 /** What can be looked back over, about 50 MB at the full rate. */
 export const RING_S = 300;
 const GRASPS_KEPT = 200;
+/** States of the tool in which a run is under way. */
+const MOVING: readonly State["safety"][] = ["running", "holding back", "let go"];
+/** Motor commands below it are noise of the line, V. */
+const COMMAND_ON_V = 0.02;
 
 /** Everything the page knows, as the server last told it. Cards read it; only messages change it. */
 export class Model {
@@ -45,6 +49,16 @@ export class Model {
   /** The service shows recordings only. */
   get hasNoTool(): boolean {
     return this.connected && this.state?.phase === "replay";
+  }
+
+  /** The server told, of a moment after `sinceMs` (page time), that nothing moves the motor, and samples come. */
+  standsStillSince(sinceMs: number, nowMs: number): boolean {
+    const { state } = this;
+    if (!this.connected || state === null || this.freshness.at(nowMs) !== "live") return false;
+    const atRest = state.phase === "idle" && state.run === null && !MOVING.includes(state.safety);
+    const toldAt = this.clock.toPage(state.server_time_ms);
+    const readAt = this.clock.toPage(this.newestMs);
+    return atRest && toldAt > sinceMs && readAt > sinceMs && Math.abs(this.newest("motor_command_v")) < COMMAND_ON_V;
   }
 
   get tissues(): TissueInfo[] {

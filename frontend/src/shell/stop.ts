@@ -1,5 +1,6 @@
 import { byId, setAttribute, setData, setHidden, setText } from "../dom";
 import { clockTime, count } from "../format";
+import type { Model } from "../live/model";
 import { messageOf, Refused, sendStop } from "../live/rest";
 import type { StopAnswer } from "../wire";
 import { pageAlarm, type ShownAlarm } from "./alarms";
@@ -14,7 +15,10 @@ export class StopButton {
   private stoppedRun: string | null = null;
   private readonly message = byId("stop-message");
 
-  constructor(private readonly person: Person) {
+  constructor(
+    private readonly model: Model,
+    private readonly person: Person,
+  ) {
     byId("stop").addEventListener("click", () => void this.stop());
   }
 
@@ -47,10 +51,24 @@ export class StopButton {
     }
   }
 
-  /** A stop that did not reach the tool stays an alarm until one does. */
-  alarms(): ShownAlarm[] {
+  /** A stop that did not reach the tool stays an alarm until one does, or the tool is known to stand still. */
+  alarms(nowMs: number): ShownAlarm[] {
     if (this.failedAt === null) return [];
+    if (this.model.standsStillSince(this.failedAt, nowMs)) {
+      this.standsStill(this.failedAt);
+      return [];
+    }
     return [pageAlarm("page:stop", "high", "STOP not sent: use the hardware switch", this.failedAt)];
+  }
+
+  private standsStill(pressedAt: number): void {
+    const attempt = this.latest;
+    const { last_run: run } = this.model.state ?? { last_run: null };
+    this.failedAt = null;
+    this.stoppedRun = null;
+    const why = run?.why ? ` Last run ${run.state}: ${run.why}.` : "";
+    this.say(`The motor is at zero now. STOP of ${clockTime(pressedAt)} did not come through.${why}`, "done");
+    setTimeout(() => attempt === this.latest && setHidden(this.message, true), SUCCESS_SHOWN_MS);
   }
 
   private say(text: string, outcome: "pending" | "done" | "failed"): void {
