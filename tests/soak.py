@@ -3,6 +3,8 @@
 After each: the motor is at zero in time where it has to be, or the run goes on; nothing moves until a fault is
 acknowledged. In the end: no tissue was named wrong and some were named right, the force stayed under the lowest injury
 threshold, every recording can be read, and no sample is missing. Ends with 1 at a violation.
+
+`--no-faults` plays runs undisturbed: each must come to its end. `--busy 2` keeps two busy programs beside all that.
 """
 
 import argparse
@@ -16,7 +18,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -43,8 +45,10 @@ from config.load import load_library
 TISSUE = "bladder"
 LOWEST_N = load_library("porcine").lowest_threshold_n
 GRASPS = {"protocol": "trapezoid_2hz", "cycles": 200}
+UNDISTURBED = {"protocol": "trapezoid_2hz", "cycles": 20}
 STRIKES_A_SERVICE = 3  # a worker may die only three times a minute
 WORKER_MS, HOG_MS, STOP_MS, SIGTERM_S = 100.0, 2000.0, 500.0, 2.0
+SILENT_SERVER_MS = 1200.0  # `server_silence_s`, and 0.2 s
 LIVE_SIGNAL_MS, ENCODER_MS = 20.0, 1500.0
 """A lost signal takes 15 ms on the board's clock; the rest is for TCP and a machine that does other things. An encoder
 that is stuck shows at the next grasp at the latest."""
@@ -103,6 +107,18 @@ def crowd(service: Service, board: ServedBoard) -> int:
     return 0
 
 
+@contextlib.contextmanager
+def busy(programs: int) -> Iterator[None]:
+    """So many programs that compute without end, meanwhile."""
+    running = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(programs)]
+    try:
+        yield
+    finally:
+        for program in running:
+            program.kill()
+            program.wait()
+
+
 def busy_core(service: Service, board: ServedBoard) -> int:
     hog = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     time.sleep(3.0)
@@ -111,11 +127,15 @@ def busy_core(service: Service, board: ServedBoard) -> int:
     return 0
 
 
-def server_held_up(service: Service, board: ServedBoard) -> int:
-    os.kill(service.process.pid, signal.SIGSTOP)
-    time.sleep(2.0)
-    os.kill(service.process.pid, signal.SIGCONT)
-    return 0
+def server_held_up(for_s: float) -> Callable[[Service, ServedBoard], int]:
+    def hit(service: Service, board: ServedBoard) -> int:
+        now_ns = time.monotonic_ns()
+        os.kill(service.process.pid, signal.SIGSTOP)
+        time.sleep(for_s)
+        os.kill(service.process.pid, signal.SIGCONT)
+        return now_ns
+
+    return hit
 
 
 def stop(service: Service, board: ServedBoard) -> int:
@@ -149,7 +169,8 @@ def strikes() -> dict[str, Strike]:
         "STOP": Strike(stop, Then.STOPPED, STOP_MS),
         "a crowd": Strike(crowd, Then.GOES_ON),
         "a busy core": Strike(busy_core, Then.GOES_ON),
-        "server held up for 2 s": Strike(server_held_up, Then.GOES_ON),
+        "server held up for 0.5 s": Strike(server_held_up(0.5), Then.GOES_ON),
+        "server held up for 2 s": Strike(server_held_up(2.0), Then.FAULT, SILENT_SERVER_MS),
     }
 
 
@@ -183,6 +204,19 @@ class Soak:
             took_s = time.monotonic() - begin_s
             self.check(took_s < SIGTERM_S, f"SIGTERM took {took_s:.1f} s")
             self.check(self._board.output_v == 0.0, "the motor is driven after SIGTERM")
+
+    def undisturbed(self, until_s: float) -> None:
+        """One service, run after run: none ends before its protocol."""
+        with Service("serve", "--tool", str(self._board.tool_file)) as service:
+            while time.monotonic() < until_s:
+                run = service.finished(service.run(**UNDISTURBED)["id"], 120.0)
+                self.check(run["state"] == "finished", f"the run {run['state']}: {run['why']}")
+                self.struck["undisturbed run"] += 1
+                if run["state"] == "failed":
+                    service.acknowledge_fault()
+            self._judge_recordings(service)
+            delays = [line for line in service.http.get("/metrics").text.splitlines() if "server_delay" in line]
+            print(*(line for line in delays if "bucket" in line or "count" in line), sep="\n", flush=True)
 
     def _strike(self, service: Service) -> None:
         self._left = self._left or self._chance.sample(sorted(self._strikes), len(self._strikes))
@@ -239,8 +273,11 @@ class Soak:
     def table(self) -> Table:
         table = Table("fault", "times", "longest reaction", "allowed")
         for name, count in sorted(self.struck.items()):
-            timed = [f"{self.worst_ms[name]:.0f} ms", f"{self._strikes[name].within_ms:.0f} ms"]
-            table.add_row(name, str(count), *(timed if name in self.worst_ms else ["goes on", ""]))
+            if name in self.worst_ms:
+                timed = (f"{self.worst_ms[name]:.0f} ms", f"{self._strikes[name].within_ms:.0f} ms")
+            else:
+                timed = ("goes on", "")
+            table.add_row(name, str(count), *timed)
         return table
 
 
@@ -248,14 +285,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--busy", type=int, default=0, help="busy programs beside it")
+    parser.add_argument("--no-faults", action="store_true", help="only runs, undisturbed")
     asked = parser.parse_args()
     os.environ["PYTHONPATH"] = str(SABOTEUR)
     until_s = time.monotonic() + 60.0 * asked.minutes
     print(f"seed {asked.seed}", flush=True)
-    with tempfile.TemporaryDirectory() as folder, ServedBoard(Path(folder), TISSUE) as board:
+    with tempfile.TemporaryDirectory() as folder, ServedBoard(Path(folder), TISSUE) as board, busy(asked.busy):
         soak = Soak(asked.seed, board)
         while time.monotonic() < until_s:
-            soak.serve(until_s)
+            (soak.undisturbed if asked.no_faults else soak.serve)(until_s)
             print(f"{soak.struck.total()} faults, {len(soak.violations)} violations", flush=True)
     soak.check(soak.labels[TISSUE] > 0, f"nothing was named right: {dict(soak.labels)}")
     Console().print(soak.table())
