@@ -37,8 +37,17 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what runs a live service and takes longest, so that no worker is left with it in the end."""
-    items.sort(key=lambda item: not hasattr(item.module, "Service"))
+    """Hand tests to workers module by module, all browser tests to one: two browsers are too much for two cores.
+
+    First comes what runs a live service and takes longest, so that no worker is left with it in the end.
+    """
+    items.sort(key=lambda item: (not _is_browser(item), not hasattr(item.module, "Service")))
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group("browser" if _is_browser(item) else item.module.__name__))
+
+
+def _is_browser(item: pytest.Item) -> bool:
+    return item.get_closest_marker("browser") is not None
 
 
 def reactions_of(item: pytest.Item) -> Reactions:

@@ -2,6 +2,7 @@ import os
 import shutil
 
 import pytest
+from people import config_with
 from playwright.sync_api import expect, sync_playwright
 from service import Service
 from watched import Watched
@@ -39,9 +40,15 @@ def watch(browser):
         watched.context.close()
 
 
+@pytest.fixture(scope="session")
+def calm(tmp_path_factory):
+    """Settings with ten frames a second: without a GPU a page with thirty takes most of a core, and others wait."""
+    return ("--config", str(config_with(tmp_path_factory.mktemp("calm"), frame_rate_hz=10.0)))
+
+
 @pytest.fixture(scope="module")
-def running_service():
-    with Service("serve") as running:
+def running_service(calm):
+    with Service("serve", *calm) as running:
         yield running
 
 

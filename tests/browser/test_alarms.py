@@ -130,7 +130,7 @@ def test_a_killed_worker_is_an_alarm_on_every_page(service, watch):
 
 def test_the_limiter_says_that_it_holds_the_motor_back(service, watch):
     viewer = watch(service.url)
-    service.run(protocol="strong_2hz", cycles=1, tissue="bladder")
+    service.run(protocol="strong_2hz", cycles=20, tissue="bladder")
     expect(viewer.at("holding")).to_contain_text("holding the motor back under 1.80")
     expect(viewer.at("force-limit")).to_have_text("Limit 1.80 N, enforced by the limiter")
     expect(viewer.at("force-scale")).to_have_text("N by Eq. (2), scale exactly 1.0: simulated")

@@ -190,7 +190,7 @@ def test_a_stop_that_cannot_be_sent_says_so_and_stays(service, watch):
 def test_a_stop_that_a_hanging_server_did_not_take_ends_by_itself_once_the_tool_stands_still(watch):
     with Service("serve") as running:
         viewer = watch(running.url)
-        expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live", timeout=5_000)
+        expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live")
         running.run(protocol="trapezoid_025hz", cycles=20, tissue="bladder")
         os.kill(running.process.pid, signal.SIGSTOP)
         try:

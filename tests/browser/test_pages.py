@@ -11,8 +11,8 @@ pytestmark = pytest.mark.browser
 
 
 @pytest.fixture(scope="module")
-def running_service():
-    with Service("serve") as running:
+def running_service(calm):
+    with Service("serve", *calm) as running:
         grasps = joined(simulate_raw("gallbladder", "trapezoid_2hz", cycles=3))
         write_lvm(running.data / "recordings" / "gallbladder.lvm", grasps)
         (running.data / "recordings" / "broken.lvm").write_text("LabVIEW Measurement\n")

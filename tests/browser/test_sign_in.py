@@ -25,8 +25,8 @@ def token(data):
 
 
 @pytest.fixture(scope="module")
-def running_service(data, token):
-    with Service("serve", "--host", "0.0.0.0", data=data) as running:
+def running_service(calm, data, token):
+    with Service("serve", *calm, "--host", "0.0.0.0", data=data) as running:
         yield running
 
 
