@@ -37,17 +37,11 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Hand tests to workers module by module, all browser tests to one: two browsers are too much for two cores.
-
-    First comes what runs a live service and takes longest, so that no worker is left with it in the end.
-    """
-    items.sort(key=lambda item: (not _is_browser(item), not hasattr(item.module, "Service")))
+    """Begin with what runs a live service and takes longest; a page beside a live tool has two cores to itself."""
+    items.sort(key=lambda item: not hasattr(item.module, "Service"))
     for item in items:
-        item.add_marker(pytest.mark.xdist_group("browser" if _is_browser(item) else item.module.__name__))
-
-
-def _is_browser(item: pytest.Item) -> bool:
-    return item.get_closest_marker("browser") is not None
+        if item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.alone)
 
 
 def reactions_of(item: pytest.Item) -> Reactions:

@@ -82,7 +82,6 @@ def test_nothing_moves_on_a_tablet_when_an_alarm_comes(service, watch):
     assert after["y"] + after["height"] <= 800
 
 
-@pytest.mark.alone
 def test_an_alarm_is_on_the_screen_within_200_ms_of_its_sample(service, watch):
     viewer = watch(service.url)
     expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live")
@@ -117,7 +116,6 @@ def test_sound_is_a_persons_choice_speaks_for_an_alarm_and_can_be_paused(service
     expect(sound).to_have_attribute("data-state", "on")
 
 
-@pytest.mark.alone
 def test_a_killed_worker_is_an_alarm_on_every_page(service, watch):
     one, other = watch(service.url), watch(service.url + "/studies")
     expect(one.page.locator("#watch")).to_have_attribute("data-freshness", "live")

@@ -39,7 +39,6 @@ def test_two_viewers_see_the_same(service, watch):
     assert one.at("grasps").inner_text() == other.at("grasps").inner_text()
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize("by", ["button", "key"])
 @pytest.mark.parametrize("page", PAGES)
 def test_stop_works_at_once_from_every_page(service, watch, page, by):
@@ -136,7 +135,6 @@ def test_charts_pause_look_back_zoom_and_hide(service, watch):
     expect(liver).to_have_attribute("aria-pressed", "false")
 
 
-@pytest.mark.alone
 def test_a_frozen_service_is_shown_as_stale_by_the_pages_own_clock(watch):
     with Service("serve") as running:
         viewer = watch(running.url)
@@ -151,7 +149,6 @@ def test_a_frozen_service_is_shown_as_stale_by_the_pages_own_clock(watch):
         expect(viewer.at("stale-banner")).to_be_hidden()
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize("page", ["live", "tissues"])
 def test_a_cut_connection_is_told_within_a_second_and_afterwards_how_long_it_was_blind(service, watch, page):
     with Line(service.port) as line:

@@ -16,6 +16,8 @@ from websockets.sync.client import connect
 
 from config.load import CONFIG_DIR
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture(scope="module")
 def service():
@@ -195,7 +197,6 @@ def test_sigterm_ends_it_in_order_and_leaves_nothing_behind():
         assert "Traceback" not in running.process.stderr.read()
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize("worker", ["estimator", "acquisition"])
 def test_a_killed_worker_is_told_and_replaced(worker):
     with Service("serve") as running, Listener(running) as listener:
