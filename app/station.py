@@ -329,11 +329,13 @@ class Station:
         self.metrics.acquisition_lateness.observe(behind_s - self._promptest_s)
 
     def _tell_lag(self, block: SampleBlock) -> None:
-        """A reader that lags: the limiter, the estimates and the page come as much too late."""
+        """Count samples that are read late; in a run, where the limiter then acts as late, raise an alarm."""
         if block.backlog <= LATE_S * self.plan.tool.board.sample_rate_hz:
             return
-        self._late_s = time.monotonic()
         self.metrics.late_blocks.inc()
+        if not block.run:
+            return
+        self._late_s = time.monotonic()
         text = f"Samples are read more than {LATE_S:g} s late, and the limiter acts as late: end other programs"
         self.alarms.raise_technical("late", Priority.MEDIUM, text)
 

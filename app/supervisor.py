@@ -197,8 +197,8 @@ class Supervisor:
             return "did not answer and was ended"
         if process.exitcode == -signal.SIGKILL:
             return (
-                "died (signal 9: the machine ran out of memory, somebody ended it, or one call of a library computed "
-                f"for {LAST_RESORT_S} s at real-time priority)"
+                "died (signal 9), because the machine ran out of memory, somebody ended it, or one call of a library "
+                f"computed for {LAST_RESORT_S} s at real-time priority"
             )
         return f"died (signal {-process.exitcode})" if process.exitcode < 0 else f"died (exit code {process.exitcode})"
 
