@@ -37,10 +37,9 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what runs a live service and takes longest; a page beside a live tool has two cores to itself."""
-    items.sort(key=lambda item: not hasattr(item.module, "Service"))
+    """Let no test run beside one that has a live tool or a page: two of them take more than two cores."""
     for item in items:
-        if item.get_closest_marker("browser"):
+        if item.get_closest_marker("browser") or hasattr(item.module, "Service"):
             item.add_marker(pytest.mark.alone)
 
 

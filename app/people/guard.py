@@ -68,9 +68,12 @@ class Guard:
         """
         who = self._who(connection)
         method = connection.scope.get("method", "WEBSOCKET")
-        if not (method == "POST" and STOP.fullmatch(connection.scope["path"])):
+        stops = method == "POST" and STOP.fullmatch(connection.scope["path"])
+        if not stops:
             self._count(connection, who)
         if who is None and not is_open:
+            if stops:  # one that is refused; else it could fill the journal
+                self._count_as(f"address {address_of(connection)}")
             if self.people.guarded:
                 raise ProblemError(HTTPStatus.UNAUTHORIZED, HOW_BY_TOKEN, headers=CHALLENGE)
             raise ProblemError(HTTPStatus.FORBIDDEN, HOW_HERE)

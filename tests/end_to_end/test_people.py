@@ -36,6 +36,8 @@ def token(data):
 def open_service(data, token, tmp_path_factory):
     limits = {"requests_per_s": 20, "burst_requests": 150, "most_connections": MOST_CONNECTIONS}
     config = config_with(tmp_path_factory.mktemp("config"), control_expires_s=LEASE_S, **limits)
+    proxied = config.read_text().replace("trusted_proxies = []", 'trusted_proxies = ["127.0.0.1"]')
+    config.write_text(proxied)
     with Service("serve", "--host", "0.0.0.0", "--config", str(config), data=data) as running:
         time.sleep(2.0)  # asking whether it is ready has used up what a stranger may ask
         yield running
