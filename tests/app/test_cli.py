@@ -26,11 +26,11 @@ TISSUES = ("liver", "small_bowel", "bladder", "gallbladder")
 CYCLES = 10
 HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"))
 
-DOCUMENT_KEYS = {"source", "samples", "lost_samples", "duration_s", "library", "grasps"}
+DOCUMENT_KEYS = {"source", "samples", "lost_samples", "duration_s", "library", "force_scale", "grasps"}
 GRASP_KEYS = {
     "index", "start_s", "contact_s", "end_s", "label", "probability", "probabilities", "time_to_decision_s", "alpha_n",
     "beta_per_m", "damping_kg_per_s", "peak_force_n", "peak_displacement_m", "convergence_s", "force_error_n", "valid",
-    "why_invalid",
+    "why_invalid", "peak_share_of_limit",
 }  # fmt: skip
 
 

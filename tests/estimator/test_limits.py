@@ -43,7 +43,7 @@ def run(tissue: str, protocol: str = "strong_2hz", seed: int = 1, cycles: int = 
     grasper = WatchedGrasper(TOOL, LIBRARY, tissue, seed)
     board = SimulatedBoard(TOOL, grasper, VirtualClock())
     session = EstimationSession(TOOL, LIBRARY, SETTINGS)
-    blocks, found, limit_n = [], [], []
+    blocks, found, limit_n, command_v = [], [], [], 0.0
     limiter, player = HoldBack(TOOL, LIBRARY, SETTINGS.limiter), ProtocolPlayer(load_protocol(protocol), TOOL, cycles)
     with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
         acquisition = Acquisition(
@@ -58,7 +58,8 @@ def run(tissue: str, protocol: str = "strong_2hz", seed: int = 1, cycles: int = 
             acquisition.allow(limit.threshold_n, limit.tick)
             limit_n.append(limiter.limit_n)
             if not player.done:
-                limiter.judge(block.samples, player.advance(len(block.samples)))
+                on_v = [command_v] * len(block.samples)
+                command_v, _ = limiter.judge(block.samples, on_v, player.advance(len(block.samples)))
             limiter.allow(limit.threshold_n, limit.tick)
         assert not acquisition.take_let_go()
     return Run(np.concatenate(blocks), np.array(grasper.forces_n), found, limit_n)

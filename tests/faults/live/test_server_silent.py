@@ -81,7 +81,8 @@ def test_a_server_that_hangs_ends_the_run_at_zero_and_it_is_told_afterwards(
 def test_a_calibration_that_moves_the_jaws_ends_as_well(service: Service, board: ServedBoard, reactions) -> None:
     answers = []
     assert service.http.post("/api/calibration", json={"what": "stretch"}).status_code in (200, 201)
-    reading = threading.Thread(target=lambda: answers.append(service.http.post("/api/calibration/reading", timeout=30.0)))
+    path = "/api/calibration/reading"
+    reading = threading.Thread(target=lambda: answers.append(service.http.post(path, timeout=30.0)))
     reading.start()
     until(lambda: answers or board.output_v > 0.1)
     assert not answers, answers[0].text
