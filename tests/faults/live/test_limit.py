@@ -82,9 +82,9 @@ def _recomputed(log, recorded):
             case ["allow", threshold_n, tick]:
                 limiter.allow(threshold_n, tick)
                 told.append(tick)
-            case ["judge", first, wanted_v, limit_n]:
+            case ["judge", first, commands_v, wanted_v, limit_n]:
                 at = int(np.searchsorted(samples["tick"], first))
-                limiter.judge(samples[at : at + BLOCK], wanted_v)
+                limiter.judge(samples[at : at + BLOCK], commands_v, wanted_v)
                 assert limiter.limit_n == limit_n
                 enforced[first + BLOCK] = limit_n
     return enforced, told

@@ -16,9 +16,9 @@ if path := os.environ.get("LIMIT_LOG"):
         allow(self, threshold_n, tick)
         write("allow", threshold_n, tick)
 
-    def logged_judge(self, samples, wanted_v):
-        result = judge(self, samples, wanted_v)
-        write("judge", int(samples["tick"][0]), wanted_v, self.limit_n)
+    def logged_judge(self, samples, commands_v, wanted_v):
+        result = judge(self, samples, commands_v, wanted_v)
+        write("judge", int(samples["tick"][0]), commands_v, wanted_v, self.limit_n)
         return result
 
     HoldBack.allow, HoldBack.judge = logged_allow, logged_judge
