@@ -37,9 +37,9 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let no test run beside one that has a live tool or a page: two of them take more than two cores."""
+    """Let no test run beside one that has a page: without a GPU it takes a core, and its live tool most of another."""
     for item in items:
-        if item.get_closest_marker("browser") or hasattr(item.module, "Service"):
+        if item.get_closest_marker("browser"):
             item.add_marker(pytest.mark.alone)
 
 

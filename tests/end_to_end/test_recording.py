@@ -20,8 +20,6 @@ from app.record.reading import read_run
 from app.record.run_file import Rig
 from config.load import load_tool
 
-pytestmark = pytest.mark.alone
-
 RIG = load_tool("smart_tool_2013")
 
 

@@ -16,8 +16,6 @@ from websockets.sync.client import connect
 
 from config.load import CONFIG_DIR
 
-pytestmark = pytest.mark.alone
-
 
 @pytest.fixture(scope="module")
 def service():
