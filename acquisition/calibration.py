@@ -54,27 +54,37 @@ def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSign
         crank = geometry.l2_m / geometry.l1_m * sine  # s of Eq. (2)
         rod_angle = np.arcsin(crank)
         transmission = (  # Eq. (2) as printed; tan(asin s) cos(asin s) is s, the paper writes it out
-            geometry.l2_m * geometry.r_pp_m / (2 * geometry.l_jaw_m * geometry.a_m)
-            * (np.tan(rod_angle) * np.cos(rod_angle) + sine) * jaw_cosine
-        )  # fmt: skip
+            geometry.l2_m
+            * geometry.r_pp_m
+            / (2 * geometry.l_jaw_m * geometry.a_m)
+            * (np.tan(rod_angle) * np.cos(rod_angle) + sine)
+            * jaw_cosine
+        )
         gain = transmission * calibration.newton_per_volt * calibration.jaw_force_scale.value
         force = gain * strain_v
         displacement = geometry.l_jaw_m * jaw_sine  # Eq. (6)
 
         cosine_by_rod = (numerator - 2 * left**2) / (2 * geometry.l2_m * left**2)
         angle_by_volt = (
-            cosine_by_rod / sine  # the two minus signs of d(arccos) and of the stretch cancel
-            * geometry.a_m * (1 + tangent**2)
-            * radian_per_encoder * calibration.encoder_deg_per_volt
-        )  # fmt: skip
+            cosine_by_rod
+            / sine  # the two minus signs of d(arccos) and of the stretch cancel
+            * geometry.a_m
+            * (1 + tangent**2)
+            * radian_per_encoder
+            * calibration.encoder_deg_per_volt
+        )
         gain_by_angle = gain * (np.cos(angle) / sine - jaw_sine / jaw_cosine)
         newton_per_volt = gain + strain_v * gain_by_angle * angle_by_volt
         metre_per_volt = geometry.l_jaw_m * jaw_cosine * angle_by_volt
 
         valid = (
-            (left > 0) & (np.abs(cosine) < 1) & (np.abs(crank) <= 1) & (cosine_by_rod < 0)
-            & (np.abs(theta_handle) < np.pi / 2) & (np.abs(theta_jaw) < np.pi / 2)
-        )  # fmt: skip
+            (left > 0)
+            & (np.abs(cosine) < 1)
+            & (np.abs(crank) <= 1)
+            & (cosine_by_rod < 0)
+            & (np.abs(theta_handle) < np.pi / 2)
+            & (np.abs(theta_jaw) < np.pi / 2)
+        )
     if not valid.all():
         for signal in (force, displacement, theta_jaw, newton_per_volt, metre_per_volt):
             signal[~valid] = np.nan

@@ -54,9 +54,14 @@ class Acquisition:
     """Drives one source. The motor moves only while a run plays its protocol; `safety` says where the tool stands."""
 
     def __init__(
-        self, source: Source, tool: Tool, conditioning: Conditioning, hold_back: HoldBack | None = None,
-        safety: Safety = Safety.DISARMED, why: str = "",
-    ) -> None:  # fmt: skip
+        self,
+        source: Source,
+        tool: Tool,
+        conditioning: Conditioning,
+        hold_back: HoldBack | None = None,
+        safety: Safety = Safety.DISARMED,
+        why: str = "",
+    ) -> None:
         """`hold_back` limits the force of whatever a protocol asks for; a recording, which has no motor, needs none.
 
         `safety` is where the tool stood before, and `why` it is faulted: a fault outlives the process that had it. A

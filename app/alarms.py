@@ -75,9 +75,14 @@ class AlarmBook:
             self.happened(PEAK, AlarmKind.FORCE, f"Peak: {alarm.text}", alarm.began_ms, alarm.value, alarm.limit)
 
     def happened(
-        self, key: str, kind: AlarmKind, text: str, at_ms: float | None = None,
-        value: float | None = None, limit: float | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        key: str,
+        kind: AlarmKind,
+        text: str,
+        at_ms: float | None = None,
+        value: float | None = None,
+        limit: float | None = None,
+    ) -> None:
         """Something is over when it is told, but somebody has to know of it: a high alarm that latches."""
         before = self._alarms.get(key)
         if before and (before.value or 0.0) > (value or 0.0):
@@ -86,9 +91,17 @@ class AlarmBook:
         self.end(key)
 
     def _raise(
-        self, key: str, kind: AlarmKind, priority: Priority, text: str, at_ms: float | None,
-        value: float | None = None, limit: float | None = None, *, latched: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        key: str,
+        kind: AlarmKind,
+        priority: Priority,
+        text: str,
+        at_ms: float | None,
+        value: float | None = None,
+        limit: float | None = None,
+        *,
+        latched: bool = False,
+    ) -> None:
         before = self._alarms.get(key)
         if before and (before.priority, before.text, before.value, before.limit) == (priority, text, value, limit):
             return
@@ -163,9 +176,15 @@ class AlarmBook:
     def _note(self, kind: JournalKind, alarm: Alarm, text: str, by: str | None = None) -> None:
         if self._journal:
             self._journal.write(
-                kind, text, by=by, priority=alarm.priority, value=alarm.value, limit=alarm.limit, unit=alarm.unit,
+                kind,
+                text,
+                by=by,
+                priority=alarm.priority,
+                value=alarm.value,
+                limit=alarm.limit,
+                unit=alarm.unit,
                 alarm=alarm,
-            )  # fmt: skip
+            )
 
 
 def _at(at_ms: float | None) -> float:

@@ -111,9 +111,7 @@ def serve(
     if foxglove:
         settings = settings.model_copy(update={"foxglove": Foxglove(port=foxglove)})
     folder, source = data_folder(data, settings), tool or settings.tool
-    _serve(
-        ServicePlan(chosen, library, settings, held, seed, folder, rig, demo=demo, tool_source=source), host, port
-    )  # fmt: skip
+    _serve(ServicePlan(chosen, library, settings, held, seed, folder, rig, demo=demo, tool_source=source), host, port)
 
 
 @app.command()
@@ -145,9 +143,17 @@ def run(
     duration_s = wanted.lead_in_s + count * wanted.waveform.cycle_s
     with ProgressBar(f"{wanted.name} on {tissue}", duration_s) as progress:
         report = run_protocol(
-            _simulated_tool(settings), profiles, settings, wanted, tissue,
-            cycles=count, seed=seed, real_time=real_time, record=record, progress=progress,
-        )  # fmt: skip
+            _simulated_tool(settings),
+            profiles,
+            settings,
+            wanted,
+            tissue,
+            cycles=count,
+            seed=seed,
+            real_time=real_time,
+            record=record,
+            progress=progress,
+        )
     _print_reports([report.document()], as_json)
     for text in report.let_go:
         errors.print(text, soft_wrap=True)

@@ -6,16 +6,7 @@ from app import __version__
 from app.clock import now_ms
 from app.frames import channels
 from app.plan import ServicePlan
-from app.wire import (
-    ConstantInfo,
-    ForceScaleInfo,
-    Hello,
-    HoldableInfo,
-    LibraryInfo,
-    SpreadInfo,
-    TissueInfo,
-    ToolInfo,
-)
+from app.wire import ConstantInfo, ForceScaleInfo, Hello, HoldableInfo, LibraryInfo, SpreadInfo, TissueInfo, ToolInfo
 from config.load import holdable
 from config.schema import TissueLibrary, Tool, ToolKind
 
@@ -66,25 +57,38 @@ def force_scale_info(tool: Tool) -> ForceScaleInfo:
 def constant_infos(tool: Tool, today: date) -> list[ConstantInfo]:
     return [
         ConstantInfo(
-            constant=each.constant, value=each.value, date=each.date, by=each.person,
-            expires=each.expires.isoformat() if each.expires else None, expired=each.is_expired(today),
+            constant=each.constant,
+            value=each.value,
+            date=each.date,
+            by=each.person,
+            expires=each.expires.isoformat() if each.expires else None,
+            expired=each.is_expired(today),
         )
         for each in tool.constants
-    ]  # fmt: skip
+    ]
 
 
 def library_info(plan: ServicePlan) -> LibraryInfo:
     library = plan.library
     tissues = [
         TissueInfo(
-            name=name, title=profile.title, alpha_n=profile.alpha_n, beta_per_m=profile.beta_per_m,
-            damping_kg_per_s=profile.damping_kg_per_s, thickness_m=profile.thickness_m,
-            threshold_n=library.threshold_n(name), threshold_pa=profile.threshold_pa,
+            name=name,
+            title=profile.title,
+            alpha_n=profile.alpha_n,
+            beta_per_m=profile.beta_per_m,
+            damping_kg_per_s=profile.damping_kg_per_s,
+            thickness_m=profile.thickness_m,
+            threshold_n=library.threshold_n(name),
+            threshold_pa=profile.threshold_pa,
             spread=SpreadInfo(**library.spread_of(name).model_dump()),
         )
         for name, profile in library.tissues.items()
-    ]  # fmt: skip
+    ]
     return LibraryInfo(
-        name=library.name, title=library.title, source=library.source, mass_kg=library.mass_kg,
-        jaw_area_m2=library.jaw_area_m2, tissues=tissues,
-    )  # fmt: skip
+        name=library.name,
+        title=library.title,
+        source=library.source,
+        mass_kg=library.mass_kg,
+        jaw_area_m2=library.jaw_area_m2,
+        tissues=tissues,
+    )

@@ -44,9 +44,7 @@ def main(setup: Setup) -> None:
     context = zmq.Context()
     publisher = bus.publisher(context, setup.endpoints.foxglove)
     sources = bus.subscriber(context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events)
-    server = foxglove.start_server(
-        name=setup.name, host=HOST, port=setup.port, message_backlog_size=MESSAGES_KEPT
-    )
+    server = foxglove.start_server(name=setup.name, host=HOST, port=setup.port, message_backlog_size=MESSAGES_KEPT)
     stage = Stage(setup.library, setup.sample_rate_hz)
     bound_memory()
     _follow(sources, publisher, stage, stop)

@@ -57,9 +57,18 @@ class Report:
 
 
 def run_protocol(
-    tool: Tool, library: TissueLibrary, settings: Settings, protocol: Protocol, tissue: str, *,
-    cycles: int, seed: int, real_time: bool, record: Path | None, progress: Progress,
-) -> Report:  # fmt: skip
+    tool: Tool,
+    library: TissueLibrary,
+    settings: Settings,
+    protocol: Protocol,
+    tissue: str,
+    *,
+    cycles: int,
+    seed: int,
+    real_time: bool,
+    record: Path | None,
+    progress: Progress,
+) -> Report:
     """Play a protocol on the simulated grasper and identify what it grasps; `record` is the file to write, if any.
 
     Raises:

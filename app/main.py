@@ -45,7 +45,7 @@ from app.routes import (
     session,
     studies,
     system,
-)  # fmt: skip
+)
 from app.station import Station
 from app.store.opening import open_for_service
 from app.study.desk import StudyDesk
@@ -65,8 +65,20 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 ROUTES = (
-    runs, control, calibration, session, history, audit, alarms, catalogue, system, studies, recordings, bin, live,
-)  # fmt: skip
+    runs,
+    control,
+    calibration,
+    session,
+    history,
+    audit,
+    alarms,
+    catalogue,
+    system,
+    studies,
+    recordings,
+    bin,
+    live,
+)
 ROUTERS = tuple(each.router for each in ROUTES)
 LONGEST_WORD_BYTES = 65_536  # of a viewer
 GRACE_S = 0.3
@@ -96,10 +108,14 @@ def create_app(plan: ServicePlan) -> FastAPI:
         station.watch_over(watch)
         demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
         async with (
-            index, desk as app.state.studies, contextlib.aclosing(films) as app.state.films, shelf as app.state.shelf,
-            contextlib.aclosing(reports) as app.state.reports, chain as app.state.chain,
+            index,
+            desk as app.state.studies,
+            contextlib.aclosing(films) as app.state.films,
+            shelf as app.state.shelf,
+            contextlib.aclosing(reports) as app.state.reports,
+            chain as app.state.chain,
             recording_bin as app.state.bin,
-        ):  # fmt: skip
+        ):
             try:
                 yield
             finally:

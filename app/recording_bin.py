@@ -40,12 +40,15 @@ class RecordingBin:
         by = {(record.name, record.deleted_at): record.deleted_by for record in known.items}
         recordings = [
             BinnedRecording(
-                entry=file.entry, name=file.name, size_bytes=file.size_bytes, deleted_at=file.deleted_iso,
+                entry=file.entry,
+                name=file.name,
+                size_bytes=file.size_bytes,
+                deleted_at=file.deleted_iso,
                 deleted_by=by.get((file.name, file.deleted_iso)),
                 expires_at=iso(file.deleted_at + timedelta(days=self._keep_days)),
             )
             for file in files
-        ]  # fmt: skip
+        ]
         return BinContent(
             recordings=recordings, size_bytes=sum(file.size_bytes for file in files), keep_days=self._keep_days
         )
@@ -156,7 +159,14 @@ def _seen(path: Path) -> FileRecord:
     """What the disk says of a recording that the index does not know."""
     found = path.lstat()
     return FileRecord(
-        name=path.name, run_id=None, size_bytes=found.st_size,
+        name=path.name,
+        run_id=None,
+        size_bytes=found.st_size,
         made_at=datetime.fromtimestamp(found.st_mtime, UTC).isoformat(timespec="milliseconds"),
-        duration_s=None, samples=None, lost_samples=None, format_version=None, condition=None, problem=None,
-    )  # fmt: skip
+        duration_s=None,
+        samples=None,
+        lost_samples=None,
+        format_version=None,
+        condition=None,
+        problem=None,
+    )

@@ -53,9 +53,16 @@ class RunBook:
         now = datetime.now(UTC)
         run = Run(
             id=f"{prefix}{now:%Y%m%d-%H%M%S}-{self._mark}-{self._count:03d}",
-            protocol=protocol, cycles=cycles, tissue=tissue, by=by,
-            state=RunState.RUNNING, started_at=now.isoformat(), ended_at=None, why=None, grasps=0,
-        )  # fmt: skip
+            protocol=protocol,
+            cycles=cycles,
+            tissue=tissue,
+            by=by,
+            state=RunState.RUNNING,
+            started_at=now.isoformat(),
+            ended_at=None,
+            why=None,
+            grasps=0,
+        )
         self._entries[run.id] = _Entry(run, start_tick, self._epoch)
         self.current_id = run.id
         while len(self._entries) > RUNS_KEPT:

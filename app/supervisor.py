@@ -59,9 +59,12 @@ class Supervisor:
     """Owns the worker processes of one service."""
 
     def __init__(
-        self, plan: ServicePlan, on_death: Callable[[str, str], None], on_motor: Callable[[str | None], None],
+        self,
+        plan: ServicePlan,
+        on_death: Callable[[str, str], None],
+        on_motor: Callable[[str | None], None],
         watch_over: Callable[[asyncio.Task[None]], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`on_death(worker, text)` is called in the event loop when a worker has died unasked, `on_motor(text)` when
         the motor of a dead one could not be brought to zero, and `on_motor(None)` when it is there. `watch_over` takes
         each task that must not end unnoticed."""
@@ -74,10 +77,18 @@ class Supervisor:
         self._ending = False
         self._replacing: set[asyncio.Task[None]] = set()
         acquisition = acquisition_worker.Setup(
-            os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings.conditioning,
-            plan.tissue, plan.seed, plan.settings.limiter, plan.settings.realtime, self._begin,
+            os.getpid(),
+            self.endpoints,
+            plan.tool,
+            plan.library,
+            plan.settings.conditioning,
+            plan.tissue,
+            plan.seed,
+            plan.settings.limiter,
+            plan.settings.realtime,
+            self._begin,
             plan.settings.safety.server_silence_s,
-        )  # fmt: skip
+        )
         estimator = estimator_worker.Setup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
         rig = Rig(plan.tool, plan.library, plan.settings)
         recorder = recorder_worker.Setup(
@@ -95,9 +106,13 @@ class Supervisor:
             from app import foxglove as foxglove_worker  # with its library, only where it is asked for
 
             setup = foxglove_worker.Setup(
-                os.getpid(), self.endpoints, plan.settings.foxglove.port, plan.tool.title, plan.library,
+                os.getpid(),
+                self.endpoints,
+                plan.settings.foxglove.port,
+                plan.tool.title,
+                plan.library,
                 plan.tool.board.sample_rate_hz,
-            )  # fmt: skip
+            )
             self.workers["foxglove"] = Worker("foxglove", foxglove_worker.main, setup)
 
     def begin_with_fault(self, why: str) -> None:

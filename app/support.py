@@ -33,8 +33,11 @@ HIDDEN = "(hidden)"
 TOKEN = re.compile(rf"{tokens.PREFIX}[\w-]{{16,}}")  # none should be in any of it; this is the second lock
 ANSWER_S = 5.0
 QUESTIONS = {
-    "health.json": "/api/health", "system.json": "/api/system", "alarms.json": "/api/alarms", "metrics.txt": "/metrics",
-}  # fmt: skip
+    "health.json": "/api/health",
+    "system.json": "/api/system",
+    "alarms.json": "/api/alarms",
+    "metrics.txt": "/metrics",
+}
 OUR_VARIABLES = ("GRASPWATCH_", "NUMBA_", "PYTHON", "OMP_", "OPENBLAS_")
 READ_ME = (
     "What Graspwatch is and how it stands, for somebody who helps: versions, machine, settings, tool, library, the "
@@ -146,9 +149,7 @@ def _service(url: str, token: str | None) -> dict[str, str]:
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     direct = is_this_computer(httpx.URL(url).host)  # no token leaves it for a proxy
     trust = ssl.create_default_context()
-    with httpx.Client(
-        base_url=url, headers=headers, timeout=ANSWER_S, verify=trust, trust_env=not direct
-    ) as service:
+    with httpx.Client(base_url=url, headers=headers, timeout=ANSWER_S, verify=trust, trust_env=not direct) as service:
         for name, path in QUESTIONS.items():
             try:
                 answer = service.get(path)

@@ -18,9 +18,13 @@ class Teller:
     """Follows one source's estimate blocks."""
 
     def __init__(
-        self, library: TissueLibrary, rate_hz: float, alarms: AlarmBook,
-        tell: Callable[[BaseModel], None], on_grasp: Callable[[Grasp], None],
-    ) -> None:  # fmt: skip
+        self,
+        library: TissueLibrary,
+        rate_hz: float,
+        alarms: AlarmBook,
+        tell: Callable[[BaseModel], None],
+        on_grasp: Callable[[Grasp], None],
+    ) -> None:
         self._library = library
         self._every_ticks = rate_hz / IDENTIFICATIONS_HZ
         self._alarms = alarms

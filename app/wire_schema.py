@@ -16,14 +16,39 @@ from app import wire
 SCHEMA_FILE = Path(__file__).parents[1] / "frontend" / "src" / "wire.schema.json"
 
 SENT_BY_SERVER = (
-    "ServerMessage", "Run", "ProtocolInfo", "LibraryInfo", "Grasp", "StopAnswer", "Health", "Problem", "Alarm",
-    "JournalEntry", "JournalCheck", "Recordings", "BinContent", "Studies", "StudyRun", "System", "SafetyReport",
-    "SessionInfo", "ControlInfo", "Calibration",
-)  # fmt: skip
+    "ServerMessage",
+    "Run",
+    "ProtocolInfo",
+    "LibraryInfo",
+    "Grasp",
+    "StopAnswer",
+    "Health",
+    "Problem",
+    "Alarm",
+    "JournalEntry",
+    "JournalCheck",
+    "Recordings",
+    "BinContent",
+    "Studies",
+    "StudyRun",
+    "System",
+    "SafetyReport",
+    "SessionInfo",
+    "ControlInfo",
+    "Calibration",
+)
 SENT_BY_BROWSER = (
-    "RunRequest", "ArmRequest", "StopRequest", "FrameReceived", "AcknowledgeRequest", "ReplayControl", "StudyRequest",
-    "SignIn", "ControlRequest", "CalibrationRequest",
-)  # fmt: skip
+    "RunRequest",
+    "ArmRequest",
+    "StopRequest",
+    "FrameReceived",
+    "AcknowledgeRequest",
+    "ReplayControl",
+    "StudyRequest",
+    "SignIn",
+    "ControlRequest",
+    "CalibrationRequest",
+)
 
 # Fields of `FRAME_HEADER`, in order
 HEADER_FIELDS = ("magic", "kind", "stride", "columns", "rows", "sequence", "first_tick", "newest_ms")

@@ -187,9 +187,12 @@ def _with_interval(scale: ForceScale | float) -> ForceScale:
     if isinstance(scale, ForceScale):
         return scale
     return ForceScale(
-        value=scale, low=min(scale, EQ2_LEAST), high=max(scale, EQ2_MOST), measured=False,
+        value=scale,
+        low=min(scale, EQ2_LEAST),
+        high=max(scale, EQ2_MOST),
+        measured=False,
         source="a tool file that states no interval",
-    )  # fmt: skip
+    )
 
 
 def _form_of_scale(given: Any) -> str:
@@ -367,9 +370,13 @@ class SimulatedGrasper(Model):
 UNITS_OF_CALIBRATION = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder")
 
 CALIBRATED = {
-    "newton_per_volt": "strain", "encoder_deg_per_volt": "stretch", "handle_per_encoder": "geometry",
-    "opening_m": "geometry", "rest_offset_v": "tare", "strain_sd_v": "tare",
-}  # fmt: skip
+    "newton_per_volt": "strain",
+    "encoder_deg_per_volt": "stretch",
+    "handle_per_encoder": "geometry",
+    "opening_m": "geometry",
+    "rest_offset_v": "tare",
+    "strain_sd_v": "tare",
+}
 """Constants of a tool file, and which `graspwatch calibrate` measures each."""
 SCALE = "jaw_force_scale"
 
@@ -457,9 +464,10 @@ class Tool(Model):
         for name in CALIBRATED:
             how = own.get(name)
             date, person, expires = (
-                (how.date.isoformat(), how.person, how.expires) if how
+                (how.date.isoformat(), how.person, how.expires)
+                if how
                 else (calibration.date, calibration.person, calibration.expires)
-            )  # fmt: skip
+            )
             if values[name] is not None:
                 ages.append(ConstantAge(name, values[name], date, person, expires))
         date = scale.date.isoformat() if scale.date else calibration.date

@@ -177,7 +177,11 @@ def client() -> str:
 def written() -> dict[str, str]:
     """Each file's content by its place in docs/."""
     return {
-        "reference/commands.md": commands(), "reference/settings.md": settings(), "reference/requests.md": requests(),
-        "reference/stream.md": stream(), "reference/metrics.md": metrics(), "reference/client.md": client(),
+        "reference/commands.md": commands(),
+        "reference/settings.md": settings(),
+        "reference/requests.md": requests(),
+        "reference/stream.md": stream(),
+        "reference/metrics.md": metrics(),
+        "reference/client.md": client(),
         "decisions/index.md": decisions(),
-    }  # fmt: skip
+    }

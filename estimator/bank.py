@@ -227,7 +227,20 @@ class Bank:
         mean, variance = np.empty(shape), np.empty(shape)
         s = self.state
         advance_bank(
-            samples, self._history, s.taken, self._noises, SECOND_PASS_AT, self._guess, self._first_mean,
-            self._first_cov, s.mean, s.cov, s.fit, s.valid, s.surprise, mean, variance,
-        )  # fmt: skip
+            samples,
+            self._history,
+            s.taken,
+            self._noises,
+            SECOND_PASS_AT,
+            self._guess,
+            self._first_mean,
+            self._first_cov,
+            s.mean,
+            s.cov,
+            s.fit,
+            s.valid,
+            s.surprise,
+            mean,
+            variance,
+        )
         return mean, variance

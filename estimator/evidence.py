@@ -58,9 +58,19 @@ class Evidence:
         state = self._bank.state
         result = np.empty(len(self._log_prior))
         posterior(
-            state.mean, state.cov, state.fit, state.valid, state.taken[0], state.surprise[0], self._bank.priors.mean,
-            self._bank.filter_sd**2, self._mean, self._var, self._log_prior + log_likelihood, result,
-        )  # fmt: skip
+            state.mean,
+            state.cov,
+            state.fit,
+            state.valid,
+            state.taken[0],
+            state.surprise[0],
+            self._bank.priors.mean,
+            self._bank.filter_sd**2,
+            self._mean,
+            self._var,
+            self._log_prior + log_likelihood,
+            result,
+        )
         return result
 
 

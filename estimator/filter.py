@@ -106,19 +106,35 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
         by_strain = -before[BY_FORCE] * (g - step[r, 3])
         for j in range(STATES):
             rows[r, j] = (
-                step[r, 0] * cov[X, j] + step[r, 1] * cov[V, j] + by_strain * cov[STRAIN, j] - g * cov[DRIFT, j]
-                + g * (by_alpha * cov[LOG_ALPHA, j] + by_beta * cov[LOG_BETA, j] + by_damping * cov[LOG_DAMPING, j]
-                       + by_mass * cov[LOG_MASS, j])
-            )  # fmt: skip
+                step[r, 0] * cov[X, j]
+                + step[r, 1] * cov[V, j]
+                + by_strain * cov[STRAIN, j]
+                - g * cov[DRIFT, j]
+                + g
+                * (
+                    by_alpha * cov[LOG_ALPHA, j]
+                    + by_beta * cov[LOG_BETA, j]
+                    + by_damping * cov[LOG_DAMPING, j]
+                    + by_mass * cov[LOG_MASS, j]
+                )
+            )
     for q in range(2):
         g = step[q, 2]
         by_strain = -before[BY_FORCE] * (g - step[q, 3])
         for r in range(q, 2):
             value = (
-                step[q, 0] * rows[r, X] + step[q, 1] * rows[r, V] + by_strain * rows[r, STRAIN] - g * rows[r, DRIFT]
-                + g * (by_alpha * rows[r, LOG_ALPHA] + by_beta * rows[r, LOG_BETA] + by_damping * rows[r, LOG_DAMPING]
-                       + by_mass * rows[r, LOG_MASS])
-            )  # fmt: skip
+                step[q, 0] * rows[r, X]
+                + step[q, 1] * rows[r, V]
+                + by_strain * rows[r, STRAIN]
+                - g * rows[r, DRIFT]
+                + g
+                * (
+                    by_alpha * rows[r, LOG_ALPHA]
+                    + by_beta * rows[r, LOG_BETA]
+                    + by_damping * rows[r, LOG_DAMPING]
+                    + by_mass * rows[r, LOG_MASS]
+                )
+            )
             fresh = sample[BY_FORCE] * sample[BY_FORCE] * step[r, 3] * step[q, 3] * noise.strain_var
             value += fresh + step[r, 2] * g * force_var
             cov[r, q] = value
@@ -229,8 +245,23 @@ def rises(history, taken, force_n):
 
 
 @compiled
-def advance_bank(samples, history, taken, noises, second_pass_at, guess, first_mean, first_cov, mean, cov, fit, valid,
-                 surprise, shown_mean, shown_var):  # fmt: skip
+def advance_bank(
+    samples,
+    history,
+    taken,
+    noises,
+    second_pass_at,
+    guess,
+    first_mean,
+    first_cov,
+    mean,
+    cov,
+    fit,
+    valid,
+    surprise,
+    shown_mean,
+    shown_var,
+):
     """Advance all filters over `samples`, (n, 5): M tissues times as many filters each as there are `noises`.
 
     Args:
@@ -262,8 +293,18 @@ def advance_bank(samples, history, taken, noises, second_pass_at, guess, first_m
             valid[k] = is_sound(mean[k], cov[k], guess[k])
             if passes and valid[k]:
                 again_mean[:], again_cov[:] = first_mean[k], first_cov[k]
-                if pass_again(again_mean, again_cov, again_fit, mean[k, ABOUT], guess[k], history[: taken[0]], noise,
-                              step, rows, gain):  # fmt: skip
+                if pass_again(
+                    again_mean,
+                    again_cov,
+                    again_fit,
+                    mean[k, ABOUT],
+                    guess[k],
+                    history[: taken[0]],
+                    noise,
+                    step,
+                    rows,
+                    gain,
+                ):
                     mean[k], cov[k], fit[k] = again_mean, again_cov, again_fit
         if taken[0] > SURPRISE_FROM:
             best = likeliest(len(mean) - tissues, len(mean), fit, valid)

@@ -40,9 +40,17 @@ class GraspEstimation:
     """Follows one grasp; `take` its samples in steps, `finish` for its record."""
 
     def __init__(
-        self, index: int, start_tick: int, bank: Bank, evidence: Evidence, settings: Settings, rate_hz: float,
-        *, held_before: bool = False, learned: LearnedGrasp | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        index: int,
+        start_tick: int,
+        bank: Bank,
+        evidence: Evidence,
+        settings: Settings,
+        rate_hz: float,
+        *,
+        held_before: bool = False,
+        learned: LearnedGrasp | None = None,
+    ) -> None:
         """`held_before`: tissue was touched when the command left zero, so that nobody knows where contact was.
 
         `learned`: what follows the loading curve where the library was learned; the probabilities are then its own.
@@ -96,10 +104,14 @@ class GraspEstimation:
         self._last_tick = int(samples["tick"][-1])
         self._kept.append(
             _Kept(
-                int(samples["tick"][0]), self._bank.state.copy(), copy(self.decision), self.probabilities,
-                len(self._errors), float(columns[0, 1]),
+                int(samples["tick"][0]),
+                self._bank.state.copy(),
+                copy(self.decision),
+                self.probabilities,
+                len(self._errors),
+                float(columns[0, 1]),
             )
-        )  # fmt: skip
+        )
         while self._kept[0].tick < self._last_tick - KEPT_SAMPLES:
             del self._kept[0]
         felt_n = float(columns[:, 0].mean())

@@ -24,9 +24,10 @@ def estimate_layout(tissues: list[str]) -> RowLayout:
 def row_layouts(tissues: list[str]) -> dict[str, RowLayout]:
     """By topic, all rows of a recording made with a library of these tissues."""
     return {
-        layout.RAW: layout.RAW_ROWS, layout.CONDITIONED: layout.CONDITIONED_ROWS,
+        layout.RAW: layout.RAW_ROWS,
+        layout.CONDITIONED: layout.CONDITIONED_ROWS,
         layout.ESTIMATES: estimate_layout(tissues),
-    }  # fmt: skip
+    }
 
 
 def estimate_columns(estimates: np.ndarray, tissues: list[str]) -> dict[str, np.ndarray]:

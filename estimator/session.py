@@ -136,10 +136,15 @@ class EstimationSession:
             begin = end
         self._last_tick = int(block.samples["tick"][-1])
         return EstimateBlock(
-            block.sequence, block.t_mono_ns, block.lost_samples, estimates,
-            self._identification(block.samples), tuple(ended), tuple(alarms),
+            block.sequence,
+            block.t_mono_ns,
+            block.lost_samples,
+            estimates,
+            self._identification(block.samples),
+            tuple(ended),
+            tuple(alarms),
             tuple(withdrawn),
-        )  # fmt: skip
+        )
 
     def finish(self) -> GraspRecord | None:
         """The record of a grasp that the source's end cut short."""

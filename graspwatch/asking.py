@@ -34,9 +34,15 @@ class Asking:
         self._http = http
 
     async def ask(
-        self, answer: type[Answer], method: str, path: str, body: BaseModel | None = None, *,
-        params: dict[str, Any] | None = None, fine: tuple[int, ...] = (),
-    ) -> Answer:  # fmt: skip
+        self,
+        answer: type[Answer],
+        method: str,
+        path: str,
+        body: BaseModel | None = None,
+        *,
+        params: dict[str, Any] | None = None,
+        fine: tuple[int, ...] = (),
+    ) -> Answer:
         """An answer of this type; those with a status in `fine` are answers, too."""
         content = body.model_dump(mode="json", exclude_none=True) if body else None
         response = await self.request(method, path, fine=fine, json=content, params=params)

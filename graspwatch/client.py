@@ -52,9 +52,14 @@ class Graspwatch:
     """
 
     def __init__(
-        self, url: str = "http://localhost:8000", *, token: str | None = None, trust: ssl.SSLContext | None = None,
-        by: str | None = None, timeout_s: float = 10.0,
-    ) -> None:  # fmt: skip
+        self,
+        url: str = "http://localhost:8000",
+        *,
+        token: str | None = None,
+        trust: ssl.SSLContext | None = None,
+        by: str | None = None,
+        timeout_s: float = 10.0,
+    ) -> None:
         """`token` is what `graspwatch token add` printed; `trust` knows the certificate of a service at https (None:
         as this computer does); `by` is a name for the journal where the service knows nobody by a token. A service on
         this computer is asked directly, others through the proxy that `HTTPS_PROXY` and the like name."""
@@ -62,9 +67,12 @@ class Graspwatch:
         self._trust = trust or ssl.create_default_context()
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._http = httpx.AsyncClient(
-            base_url=url, headers=self._headers, verify=self._trust, timeout=timeout_s,
+            base_url=url,
+            headers=self._headers,
+            verify=self._trust,
+            timeout=timeout_s,
             trust_env=not is_this_computer(httpx.URL(url).host),  # its proxy variables are for other computers
-        )  # fmt: skip
+        )
         self._asking = Asking(self._http)
 
     async def __aenter__(self) -> Self:

@@ -52,9 +52,13 @@ async def _connected(
     address = str(url.copy_with(scheme="wss" if secure else "ws", path="/api/live"))
     try:
         socket = await connect(
-            address, additional_headers=headers, ssl=trust if secure else None, max_size=None, open_timeout=timeout_s,
+            address,
+            additional_headers=headers,
+            ssl=trust if secure else None,
+            max_size=None,
+            open_timeout=timeout_s,
             proxy=None if is_this_computer(url.host) else True,
-        )  # fmt: skip
+        )
     except InvalidStatus as error:
         raise refused(error.response.status_code, error.response.body or b"") from error
     except (OSError, InvalidHandshake, TimeoutError) as error:

@@ -28,9 +28,15 @@ def learner(tool: Tool, base: TissueLibrary) -> Callable[[Sequence[Recorded]], T
 
 
 def pressed(
-    stiffness: float, *, gap_deg: float = 120.0, stretch: float = 52.189, seed: int = 0, noise_v: float = 1e-3,
-    rest_v: float = 0.82, offset_deg: float = 0.0,
-) -> np.ndarray:  # fmt: skip
+    stiffness: float,
+    *,
+    gap_deg: float = 120.0,
+    stretch: float = 52.189,
+    seed: int = 0,
+    noise_v: float = 1e-3,
+    rest_v: float = 0.82,
+    offset_deg: float = 0.0,
+) -> np.ndarray:
     """A grasp by hand: jaws travel at a steady pace and are shut after `gap_deg`, while tissue of a `stiffness`
     (V at 10 deg before) resists as an exponential; dtype SAMPLE."""
     from acquisition.blocks import SAMPLE

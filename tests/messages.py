@@ -31,33 +31,65 @@ def run(number: int = 1, **facts: Any) -> Run:
     started = 60.0 * number
     return Run.model_validate(
         {
-            "id": f"run-{number:03d}", "protocol": "sine", "cycles": 3, "tissue": "liver", "by": "Ada",
-            "started_at": at(started), "ended_at": at(started + 30) if over else None, "why": "done" if over else None,
-            "grasps": 0, **facts,
+            "id": f"run-{number:03d}",
+            "protocol": "sine",
+            "cycles": 3,
+            "tissue": "liver",
+            "by": "Ada",
+            "started_at": at(started),
+            "ended_at": at(started + 30) if over else None,
+            "why": "done" if over else None,
+            "grasps": 0,
+            **facts,
         }
-    )  # fmt: skip
+    )
 
 
 def grasp(run_number: int = 1, index: int = 1, **facts: Any) -> GraspEnded:
     content = {
-        "index": index, "start_s": index * 1.0, "contact_s": None, "end_s": index + 0.5, "label": "liver",
-        "probability": 0.97, "probabilities": {"liver": 0.97}, "time_to_decision_s": 0.1, "alpha_n": 0.02,
-        "beta_per_m": 900.0, "damping_kg_per_s": 1.5, "peak_force_n": 1.5, "peak_displacement_m": 0.004,
-        "convergence_s": {}, "force_error_n": {}, "valid": True, "why_invalid": None, "alarms": [],
-        "held_back": False, **facts,
-    }  # fmt: skip
+        "index": index,
+        "start_s": index * 1.0,
+        "contact_s": None,
+        "end_s": index + 0.5,
+        "label": "liver",
+        "probability": 0.97,
+        "probabilities": {"liver": 0.97},
+        "time_to_decision_s": 0.1,
+        "alpha_n": 0.02,
+        "beta_per_m": 900.0,
+        "damping_kg_per_s": 1.5,
+        "peak_force_n": 1.5,
+        "peak_displacement_m": 0.004,
+        "convergence_s": {},
+        "force_error_n": {},
+        "valid": True,
+        "why_invalid": None,
+        "alarms": [],
+        "held_back": False,
+        **facts,
+    }
     return GraspEnded(run_id=f"run-{run_number:03d}", grasp=Grasp.model_validate(content))
 
 
 def alarm(change: int = 1, **facts: Any) -> Alarm:
     return Alarm.model_validate(
         {
-            "id": "force-1", "kind": AlarmKind.FORCE, "priority": Priority.LOW, "active": True, "latched": False,
-            "text": "Force near the injury threshold", "value": 1.0, "limit": 2.0, "unit": "N",
-            "began_ms": BEGIN.timestamp() * 1e3 + 61_000, "ended_ms": None, "acknowledged_by": None, "change": change,
+            "id": "force-1",
+            "kind": AlarmKind.FORCE,
+            "priority": Priority.LOW,
+            "active": True,
+            "latched": False,
+            "text": "Force near the injury threshold",
+            "value": 1.0,
+            "limit": 2.0,
+            "unit": "N",
+            "began_ms": BEGIN.timestamp() * 1e3 + 61_000,
+            "ended_ms": None,
+            "acknowledged_by": None,
+            "change": change,
             **facts,
         }
-    )  # fmt: skip
+    )
 
 
 def line(second: float = 0.0, text: str = "The tool is acquiring", **facts: Any) -> JournalEntry:
@@ -67,8 +99,16 @@ def line(second: float = 0.0, text: str = "The tool is acquiring", **facts: Any)
 def record(number: int = 1, **facts: Any) -> FileRecord:
     return FileRecord.model_validate(
         {
-            "name": f"run-{number:03d}.rec", "run_id": f"run-{number:03d}", "size_bytes": 1000 * number,
-            "made_at": at(60.0 * number), "duration_s": 30.0, "samples": 30_000, "lost_samples": 0,
-            "format_version": "1", "condition": FileCondition.COMPLETE, "problem": None, **facts,
+            "name": f"run-{number:03d}.rec",
+            "run_id": f"run-{number:03d}",
+            "size_bytes": 1000 * number,
+            "made_at": at(60.0 * number),
+            "duration_s": 30.0,
+            "samples": 30_000,
+            "lost_samples": 0,
+            "format_version": "1",
+            "condition": FileCondition.COMPLETE,
+            "problem": None,
+            **facts,
         }
-    )  # fmt: skip
+    )

@@ -41,8 +41,6 @@ def without_limit(
                 of = writer.register_schema(schema.name, schema.encoding, definition)
                 channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, of)
             data = RAW_BEFORE.encode(layout.RAW_ROWS.decode(message.data)) if is_raw else message.data
-            writer.add_message(
-                channels[channel.topic], message.log_time, data, message.publish_time, message.sequence
-            )
+            writer.add_message(channels[channel.topic], message.log_time, data, message.publish_time, message.sequence)
         writer.finish()
     return target

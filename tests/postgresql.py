@@ -36,8 +36,23 @@ def server() -> Iterator[str]:
             owner = pwd.getpwnam(OWNER)
             os.chown(folder, owner.pw_uid, owner.pw_gid)
         data, log = folder / "data", folder / "log"
-        _run(folder, binaries / "initdb", "-D", data, "-U", "tester", "-A", "scram-sha-256", "--pwfile", _word(folder),
-             "-E", "UTF8", "--locale", "C.UTF-8", "--no-sync")  # fmt: skip
+        _run(
+            folder,
+            binaries / "initdb",
+            "-D",
+            data,
+            "-U",
+            "tester",
+            "-A",
+            "scram-sha-256",
+            "--pwfile",
+            _word(folder),
+            "-E",
+            "UTF8",
+            "--locale",
+            "C.UTF-8",
+            "--no-sync",
+        )
         options = f"-p {PORT} -k {folder} -c listen_addresses='' -c fsync=off -c full_page_writes=off"
         _run(folder, binaries / "pg_ctl", "-D", data, "-l", log, "-o", options, "-w", "start")
         try:

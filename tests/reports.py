@@ -16,19 +16,34 @@ def record(**changes: Any) -> GraspRecord:
     """A valid grasp of liver; `convergence_s` and `force_error_n` are of all its filters."""
     each = {name: changes.pop(name, value) for name, value in (("convergence_s", 0.1), ("force_error_n", 0.0))}
     told = {
-        "index": 1, "start_s": 0.5, "contact_s": 0.52, "end_s": 1.2, "label": "liver", "probability": 0.97,
-        "probabilities": {"liver": 0.97, "bladder": 0.02, "unknown": 0.01}, "time_to_decision_s": 0.1, "alpha_n": 0.85,
-        "beta_per_m": 1900.0, "damping_kg_per_s": 3.0, "peak_force_n": 1.5, "peak_displacement_m": 6e-4, "valid": True,
+        "index": 1,
+        "start_s": 0.5,
+        "contact_s": 0.52,
+        "end_s": 1.2,
+        "label": "liver",
+        "probability": 0.97,
+        "probabilities": {"liver": 0.97, "bladder": 0.02, "unknown": 0.01},
+        "time_to_decision_s": 0.1,
+        "alpha_n": 0.85,
+        "beta_per_m": 1900.0,
+        "damping_kg_per_s": 3.0,
+        "peak_force_n": 1.5,
+        "peak_displacement_m": 6e-4,
+        "valid": True,
         "why_invalid": None,
-    }  # fmt: skip
+    }
     filters = {name: dict.fromkeys(("liver", "bladder"), value) for name, value in each.items()}
     return GraspRecord(**told | filters | changes)
 
 
 def observed(
-    grasp: GraspRecord, *, truth: str | None = None, told: Told = Told.VERDICT, source: str = "a.lvm",
+    grasp: GraspRecord,
+    *,
+    truth: str | None = None,
+    told: Told = Told.VERDICT,
+    source: str = "a.lvm",
     errors: tuple[float, float] | None = (-0.1, 0.1),
-) -> Observation:  # fmt: skip
+) -> Observation:
     return Observation(source, grasp, truth, told, dict.fromkeys(("liver", "bladder"), errors))
 
 

@@ -25,9 +25,21 @@ from config.load import CONFIG_DIR
 TARGET = Path(__file__).parents[1] / "docs" / "screenshots"
 WALL, TABLET, UPRIGHT, PHONE = (1920, 1080), (1280, 800), (800, 1280), (390, 844)
 AREAS = [
-    "tissue", "force", "charts", "protocol", "stress", "grasps", "recordings", "library", "library-plot", "studies",
-    "study-form", "calibration", "configuration", "journal",
-]  # fmt: skip
+    "tissue",
+    "force",
+    "charts",
+    "protocol",
+    "stress",
+    "grasps",
+    "recordings",
+    "library",
+    "library-plot",
+    "studies",
+    "study-form",
+    "calibration",
+    "configuration",
+    "journal",
+]
 IN_CONTACT = "(document.querySelector('#tissue[data-past=false] .answer-facts')?.textContent ?? '')"
 
 
@@ -39,9 +51,14 @@ class Studio:
 
     @contextmanager
     def page(
-        self, size: tuple[int, int] = WALL, path: str = "/", theme: str = "dark", *, explained: bool = True,
+        self,
+        size: tuple[int, int] = WALL,
+        path: str = "/",
+        theme: str = "dark",
+        *,
+        explained: bool = True,
         url: str | None = None,
-    ) -> Iterator[Page]:  # fmt: skip
+    ) -> Iterator[Page]:
         """A page whose explanations have been read, unless it is not `explained` yet."""
         viewport = {"width": size[0], "height": size[1]}
         # waiting for a state evaluates a text, which the page's policy forbids
@@ -171,11 +188,15 @@ def main() -> None:
                 lambda: studio.named("tablet", TABLET, "dark"),
                 lambda: studio.named("tablet-upright", UPRIGHT, "dark"),
                 lambda: studio.named("phone", PHONE, "dark"),
-                studio.undecided, studio.unknown, studio.warning, studio.replay,
+                studio.undecided,
+                studio.unknown,
+                studio.warning,
+                studio.replay,
                 *(lambda name=name: studio.other_page(name) for name in ("recordings", "tissues", "studies", "system")),
-                studio.disconnected, studio.stale,
+                studio.disconnected,
+                studio.stale,
                 lambda: alarm(browser),
-            ]  # fmt: skip
+            ]
             for take in track(pictures, "Taking pictures"):
                 take()
         browser.close()

@@ -41,9 +41,12 @@ class Service:
     """
 
     def __init__(
-        self, *arguments: str, data: Path | None = None, trust: ssl.SSLContext | None = None,
+        self,
+        *arguments: str,
+        data: Path | None = None,
+        trust: ssl.SSLContext | None = None,
         within: tuple[str, ...] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`within` is a command that runs the program, such as `unshare`."""
         self._arguments, self._within = arguments or ("serve",), within
         self._trust = trust
@@ -53,8 +56,11 @@ class Service:
     def __enter__(self) -> Self:
         self.process = subprocess.Popen(
             [*self._within, PROGRAM, *self._arguments, "--port", "0", "--data", self.data],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "200"},
-        )  # fmt: skip
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "COLUMNS": "200"},
+        )
         line = self.process.stdout.readline()
         found = re.search(r"(https?)://localhost:(\d+)/", line)
         if not found:

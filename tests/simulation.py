@@ -18,11 +18,7 @@ LVM_COLUMNS = ("Dev1/ai0", "Dev1/ai2", "Dev1/ai3", "Dev1/ai1", "Untitled")
 
 
 def simulate_raw(
-    tissue: str,
-    protocol: str | Protocol = "trapezoid_2hz",
-    seed: int = 0,
-    cycles: int = 1,
-    tool: Tool | None = None,
+    tissue: str, protocol: str | Protocol = "trapezoid_2hz", seed: int = 0, cycles: int = 1, tool: Tool | None = None
 ) -> list[RawBlock]:
     """Blocks that the tool gives while a protocol is played on specimens of `tissue`, the last rest included."""
     tool = tool or load_tool("simulated")
@@ -65,9 +61,10 @@ def joined(blocks: Iterable[RawBlock]) -> RawBlock:
     """One block of consecutive ones."""
     blocks = list(blocks)
     return RawBlock(
-        blocks[0].first_tick, blocks[0].t_mono_ns,
+        blocks[0].first_tick,
+        blocks[0].t_mono_ns,
         *(np.concatenate([getattr(block, name) for block in blocks]) for name in SIGNALS),
-    )  # fmt: skip
+    )
 
 
 def cut(raw: RawBlock, at: Iterable[int]) -> list[RawBlock]:
@@ -88,16 +85,34 @@ def lvm_text(raw: RawBlock, columns: tuple[str, ...] = LVM_COLUMNS) -> str:
         return f"{name}\t" + f"{value}\t" * n
 
     head = [
-        "LabVIEW Measurement\t", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab", "Decimal_Separator\t.",
-        "Multi_Headings\tNo", "X_Columns\tOne", "Time_Pref\tAbsolute", "Operator\ttest", f"Date\t{date}",
-        f"Time\t{stamp}", "***End_of_Header***\t", "\t",
-        f"Notes\tsimulated{per_channel}", f"Channels\t{n}{per_channel}", each("Samples", "1000"), each("Date", date),
-        each("Time", stamp), "Y_Unit_Label\t" + "Volts\t" * (n - 1) + "\t", each("X_Dimension", "Time"),
-        each("X0", "0.0000000000000000E+0"), each("Delta_X", "0.001000"), f"***End_of_Header***\t{per_channel}",
+        "LabVIEW Measurement\t",
+        "Writer_Version\t2",
+        "Reader_Version\t2",
+        "Separator\tTab",
+        "Decimal_Separator\t.",
+        "Multi_Headings\tNo",
+        "X_Columns\tOne",
+        "Time_Pref\tAbsolute",
+        "Operator\ttest",
+        f"Date\t{date}",
+        f"Time\t{stamp}",
+        "***End_of_Header***\t",
+        "\t",
+        f"Notes\tsimulated{per_channel}",
+        f"Channels\t{n}{per_channel}",
+        each("Samples", "1000"),
+        each("Date", date),
+        each("Time", stamp),
+        "Y_Unit_Label\t" + "Volts\t" * (n - 1) + "\t",
+        each("X_Dimension", "Time"),
+        each("X0", "0.0000000000000000E+0"),
+        each("Delta_X", "0.001000"),
+        f"***End_of_Header***\t{per_channel}",
         "\t".join(["X_Value", *columns, "Comment"]),
-    ]  # fmt: skip
-    signal_of = dict(zip(LVM_COLUMNS, ("strain_v", "motor_command_v", "touch_1_v", "touch_2_v", "encoder_deg"),
-                         strict=True))  # fmt: skip
+    ]
+    signal_of = dict(
+        zip(LVM_COLUMNS, ("strain_v", "motor_command_v", "touch_1_v", "touch_2_v", "encoder_deg"), strict=True)
+    )
     time_s = (raw.first_tick + np.arange(len(raw))) / 1000.0
     table = np.column_stack([time_s, *(getattr(raw, signal_of[column]) for column in columns)])
     return "\n".join([*head, *("\t".join(f"{value:.6f}" for value in row) for row in table)]) + "\n"

@@ -153,9 +153,10 @@ def strikes() -> dict[str, Strike]:
         for name in ("estimator", "recorder", "guard"):
             found[f"{name}: {how}"] = Strike(worker(name, number), Then.GOES_ON)
     fatal = dict.fromkeys(SensorFault, Then.FAULT) | {
-        SensorFault.STRAIN_SPIKE: Then.GOES_ON, SensorFault.ENCODER_SLIPS: Then.EITHER,
+        SensorFault.STRAIN_SPIKE: Then.GOES_ON,
+        SensorFault.ENCODER_SLIPS: Then.EITHER,
         SensorFault.ENCODER_REVERSED: Then.EITHER,
-    }  # fmt: skip
+    }
     late = {SensorFault.ENCODER_STUCK: ENCODER_MS, SensorFault.STRAIN_NOISE: 2 * LIVE_SIGNAL_MS}
     for fault, then in fatal.items():
         found[fault] = Strike(tell("break", fault), then, late.get(fault, LIVE_SIGNAL_MS))

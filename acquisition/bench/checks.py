@@ -129,14 +129,20 @@ def clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> Finding:
     }
     if abs(measured_hz / rate_hz - 1) > RATE_SHARE:
         return Finding(
-            check, Outcome.FAIL, f"{measured_hz:.1f} samples a second come instead of {rate_hz:.0f}: see that nothing "
-            "else drives the board's sample clock, and that `sample_rate_hz` is one that it can make.", figures,
-        )  # fmt: skip
+            check,
+            Outcome.FAIL,
+            f"{measured_hz:.1f} samples a second come instead of {rate_hz:.0f}: see that nothing "
+            "else drives the board's sample clock, and that `sample_rate_hz` is one that it can make.",
+            figures,
+        )
     if late_ms[-1] > LATE_MS:
         return Finding(
-            check, Outcome.FAIL, f"a block came {late_ms[-1]:.1f} ms late, and {LATE_MS:.0f} ms end a grasp: "
-            "close other programs, and let this user have real-time priority.", figures,
-        )  # fmt: skip
+            check,
+            Outcome.FAIL,
+            f"a block came {late_ms[-1]:.1f} ms late, and {LATE_MS:.0f} ms end a grasp: "
+            "close other programs, and let this user have real-time priority.",
+            figures,
+        )
     text = f"{measured_hz:.2f} Hz; blocks late by {figures['late_99_ms']:.2f} ms at most in 99 of 100"
     return Finding(check, Outcome.PASS, text, figures)
 
@@ -300,4 +306,3 @@ def encoder_scale(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> 
     else:
         text = f"{found}: look for a cable that slips, or measure it anew with `graspwatch calibrate stretch`."
     return Finding(check, Outcome.FAIL, text, figures)
-

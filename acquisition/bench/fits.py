@@ -85,9 +85,7 @@ def tare(rest: Signals, tool: Tool) -> Fit:
             f"{most_v * 1e3:.2f} mV: find out why with `graspwatch check`."
         )
     if (turned := float(np.ptp(rest.encoder_deg))) >= STILL_DEG:
-        raise CalibrationError(
-            f"The encoder turned by {turned:.1f} degrees meanwhile: let go of the tool, and repeat."
-        )
+        raise CalibrationError(f"The encoder turned by {turned:.1f} degrees meanwhile: let go of the tool, and repeat.")
     pieces_v = np.array([piece.mean() for piece in np.array_split(volts, PIECES)])
     at_s = (np.arange(PIECES) + 0.5) * len(volts) / PIECES / rate_hz
     drift_v = float(np.polyfit(at_s, pieces_v, 1)[0] * (at_s[-1] - at_s[0]))
@@ -103,9 +101,7 @@ def tare(rest: Signals, tool: Tool) -> Fit:
         Constant("calibration.rest_offset_v", mean_v, mean_v - half_v, mean_v + half_v, "V", sd_v, "V", len(volts)),
         Constant("noise.strain_sd_v", sd_v, sd_v * (1 - spread), sd_v * (1 + spread), "V", 0.0, "V", len(volts)),
     )
-    return Fit(
-        constants, (at_s, pieces_v), (at_s, np.full(PIECES, mean_v)), ("time, s", "strain gage at rest, V")
-    )  # fmt: skip
+    return Fit(constants, (at_s, pieces_v), (at_s, np.full(PIECES, mean_v)), ("time, s", "strain gage at rest, V"))
 
 
 def strain(weights_n: Sequence[float], readings: Sequence[Signals], tool: Tool) -> Fit:
@@ -143,17 +139,26 @@ def strain(weights_n: Sequence[float], readings: Sequence[Signals], tool: Tool) 
         )
     half = _quantile(len(volts) - 2) * slope_se
     constant = _of_slope(
-        "calibration.newton_per_volt", 1 / slope, 1 / (slope + half), 1 / (slope - half) if slope > half else np.inf,
-        "N/V", left_v, "V", len(volts),
-    )  # fmt: skip
+        "calibration.newton_per_volt",
+        1 / slope,
+        1 / (slope + half),
+        1 / (slope - half) if slope > half else np.inf,
+        "N/V",
+        left_v,
+        "V",
+        len(volts),
+    )
     along_n = np.array([pulls_n.min(), pulls_n.max()])
     remarks = ()
     if not tool.calibration.is_rest(intercept):
         remarks = (f"Without any pull the line gives {intercept:.3f} V, which is no rest of this file: tare anew.",)
     return Fit(
-        (constant,), (pulls_n, volts), (along_n, intercept + slope * along_n),
-        ("pull on the handle, N", "strain gage, V"), remarks,
-    )  # fmt: skip
+        (constant,),
+        (pulls_n, volts),
+        (along_n, intercept + slope * along_n),
+        ("pull on the handle, N", "strain gage, V"),
+        remarks,
+    )
 
 
 def check_pulls(weights_n: Sequence[float]) -> np.ndarray:
@@ -225,9 +230,11 @@ def stretch(passes: Sequence[Pass], tool: Tool) -> Fit:
     turned_deg = np.concatenate([each.encoder_deg - at for each, (_, at, _) in zip(passes, lines, strict=True)])
     along_v = np.array([strain_v.min(), strain_v.max()])
     return Fit(
-        (constant,), (strain_v, turned_deg), (along_v, value * along_v),
+        (constant,),
+        (strain_v, turned_deg),
+        (along_v, value * along_v),
         ("strain gage over rest, V", "encoder beyond shut jaws, deg"),
-    )  # fmt: skip
+    )
 
 
 def geometry(gauges_m: Sequence[float], passes: Sequence[Pass], tool: Tool) -> Fit:
@@ -261,8 +268,12 @@ def geometry(gauges_m: Sequence[float], passes: Sequence[Pass], tool: Tool) -> F
     def left_m(unknown: np.ndarray) -> np.ndarray:
         return np.nan_to_num(unknown[1] * 1e-3 - thick_m - travel_m(unknown[0] * 1e-1), nan=1.0)
 
-    begin = np.array([tool.calibration.handle_per_encoder * 10, 1e3 * float(thick_m.max() + travel_m(
-        tool.calibration.handle_per_encoder).min())])  # fmt: skip
+    begin = np.array(
+        [
+            tool.calibration.handle_per_encoder * 10,
+            1e3 * float(thick_m.max() + travel_m(tool.calibration.handle_per_encoder).min()),
+        ]
+    )
     if not np.isfinite(begin).all():
         raise CalibrationError(
             "The encoder turned further than the linkage of the tool file can: check the scale of the encoder with "
@@ -291,9 +302,11 @@ def geometry(gauges_m: Sequence[float], passes: Sequence[Pass], tool: Tool) -> F
         _check_width(each)
     along = np.argsort(turned_deg)
     return Fit(
-        constants, (turned_deg, thick_m * 1e3), (turned_deg[along], (opening_m - travel_m(ratio)[along]) * 1e3),
+        constants,
+        (turned_deg, thick_m * 1e3),
+        (turned_deg[along], (opening_m - travel_m(ratio)[along]) * 1e3),
         ("encoder since open jaws, without stretch, deg", "gauge between the jaws, mm"),
-    )  # fmt: skip
+    )
 
 
 def check_gauges(gauges_m: Sequence[float]) -> np.ndarray:
@@ -310,7 +323,7 @@ def check_gauges(gauges_m: Sequence[float]) -> np.ndarray:
 
 def _of_slope(
     key: str, value: float, low: float, high: float, unit: str, left: np.ndarray, residual_unit: str, readings: int
-) -> Constant:  # fmt: skip
+) -> Constant:
     residual = float(np.sqrt(np.mean(left**2)))
     constant = Constant(key, float(value), float(low), float(high), unit, residual, residual_unit, readings)
     _check_width(constant)

@@ -35,9 +35,14 @@ class Jitter:
 
 
 def measure(
-    open_tool: Opens, tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, priority: int,
+    open_tool: Opens,
+    tool: Tool,
+    library: TissueLibrary,
+    settings: Settings,
+    wanted: Realtime,
+    priority: int,
     seconds: float,
-) -> Jitter:  # fmt: skip
+) -> Jitter:
     """Read the tool at rest, motor at zero; `priority` is the acquisition's.
 
     Raises:
@@ -59,9 +64,15 @@ def measure(
 
 
 def _read(
-    open_tool: Opens, tool: Tool, library: TissueLibrary, settings: Settings, wanted: Realtime, priority: int,
-    seconds: float, line: Connection,
-) -> None:  # fmt: skip
+    open_tool: Opens,
+    tool: Tool,
+    library: TissueLibrary,
+    settings: Settings,
+    wanted: Realtime,
+    priority: int,
+    seconds: float,
+    line: Connection,
+) -> None:
     source, _ = open_tool(tool, library, next(iter(library.tissues)), 0)
     most, blocks, ended = blocks_in(seconds, tool), 0, None
     ticks, done_ns = np.empty(most), np.empty(most, np.int64)

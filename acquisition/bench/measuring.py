@@ -37,10 +37,13 @@ class Bench:
     """A tool without tissue. `options` leads to a simulated board; its grasper is told by `put` what is done to it."""
 
     def __init__(
-        self, tool: Tool, options: nidaqmx.GrpcSessionOptions | None, clock: Callable[[], int],
+        self,
+        tool: Tool,
+        options: nidaqmx.GrpcSessionOptions | None,
+        clock: Callable[[], int],
         put: Callable[[float, float], None] = lambda pull_n, gauge_m: None,
         reading: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`put(pull_n, gauge_m)`: the pull on the handle, and the gauge between the jaws, from the next reading on.
 
         Each reading is taken within `reading()`, which may ask the system for priority.
@@ -117,9 +120,11 @@ def signals_of(blocks: Sequence[SampleBlock]) -> Signals:
     """The raw signals of consecutive blocks."""
     samples = np.concatenate([block.samples for block in blocks])
     return Signals(
-        samples["strain_v"], samples["motor_command_v"], (samples["touch_1_v"], samples["touch_2_v"]),
+        samples["strain_v"],
+        samples["motor_command_v"],
+        (samples["touch_1_v"], samples["touch_2_v"]),
         samples["encoder_deg"],
-    )  # fmt: skip
+    )
 
 
 def shutting() -> Protocol:
@@ -129,9 +134,7 @@ def shutting() -> Protocol:
         begin_s = time_s[-1] + (CLOSE_S if n == 0 else STEP_S)
         time_s += [begin_s, begin_s + (SHUT_S if n == 0 else LEVEL_S)]
         command_v += [level_v, level_v]
-    wave = Custom(
-        shape="custom", time_s=(*time_s, time_s[-1] + CLOSE_S), command_v=(*command_v, 0.0), rest_s=OPEN_S
-    )
+    wave = Custom(shape="custom", time_s=(*time_s, time_s[-1] + CLOSE_S), command_v=(*command_v, 0.0), rest_s=OPEN_S)
     return Protocol(name="empty_jaws", title="Empty jaws, for a calibration", lead_in_s=REST_S, waveform=wave)
 
 

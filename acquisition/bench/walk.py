@@ -31,9 +31,12 @@ class Walk:
     """
 
     def __init__(
-        self, tool: Tool, options: nidaqmx.GrpcSessionOptions | None, clock: Callable[[], int],
+        self,
+        tool: Tool,
+        options: nidaqmx.GrpcSessionOptions | None,
+        clock: Callable[[], int],
         reading: contextlib.AbstractContextManager[None] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._tool, self._options, self._clock = tool, options, clock
         self._reading = reading or contextlib.nullcontext()
 

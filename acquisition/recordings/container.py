@@ -28,10 +28,14 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_LIMIT_BYTES = 256 * 2**20  # a record of ours has a few; a damaged length must not ask for all memory
 MESSAGE_HEAD = np.dtype(
     [
-        ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
-        ("log_ns", "<u8"), ("publish_ns", "<u8"),
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_ns", "<u8"),
+        ("publish_ns", "<u8"),
     ]
-)  # fmt: skip
+)
 _TAKEN = {Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment, Opcode.CHUNK: Chunk}
 _DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 DAMAGE = (McapError, ZstdError, DecodeError, LookupError, ValueError, OverflowError, MemoryError, struct.error)

@@ -23,10 +23,13 @@ LIMIT = "limit_n"  # nor is what it enforced; files of older versions do not say
 RAW_ROWS = RowLayout(
     "Raw",
     [
-        Column("tick", "i8"), *(Column(name) for name in SIGNALS),
-        Column("limiter_flags", "u4"), Column("lost_samples", "u4"), Column(LIMIT),
+        Column("tick", "i8"),
+        *(Column(name) for name in SIGNALS),
+        Column("limiter_flags", "u4"),
+        Column("lost_samples", "u4"),
+        Column(LIMIT),
     ],
-)  # fmt: skip
+)
 CONDITIONED_NAMES = tuple(name for name in SAMPLE.names if name not in (*SIGNALS, LIMIT))
 CONDITIONED_ROWS = RowLayout(
     "Conditioned", [Column(name, "u4" if name == "flags" else SAMPLE[name].str[1:]) for name in CONDITIONED_NAMES]

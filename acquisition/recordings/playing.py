@@ -128,9 +128,14 @@ class Recording:
             due = self._started + played / self._rate_hz / self._speed
             time.sleep(max(due - time.monotonic(), 0.0))
         return RawBlock(
-            int(ticks[0]), time.monotonic_ns(), *recorded.signals[:, at:end], lost_samples=lost,
-            limiter=recorded.limiter[at:end], limit_n=recorded.limit_n[at:end], run=self._run,
-        )  # fmt: skip
+            int(ticks[0]),
+            time.monotonic_ns(),
+            *recorded.signals[:, at:end],
+            lost_samples=lost,
+            limiter=recorded.limiter[at:end],
+            limit_n=recorded.limit_n[at:end],
+            run=self._run,
+        )
 
     def _end_of_block(self, at: int) -> int:
         """Row behind the block that begins at this row; blocks end where steps do."""

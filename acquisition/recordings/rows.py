@@ -14,8 +14,11 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 
 PACKAGE = "graspwatch"
 _FIXED32, _FIXED64, _GROUP = 5, 1, 2  # wire types
-_WIRE = {"<f8": (FieldDescriptorProto.TYPE_DOUBLE, _FIXED64), "<i8": (FieldDescriptorProto.TYPE_SFIXED64, _FIXED64),
-         "<u4": (FieldDescriptorProto.TYPE_FIXED32, _FIXED32)}  # fmt: skip
+_WIRE = {
+    "<f8": (FieldDescriptorProto.TYPE_DOUBLE, _FIXED64),
+    "<i8": (FieldDescriptorProto.TYPE_SFIXED64, _FIXED64),
+    "<u4": (FieldDescriptorProto.TYPE_FIXED32, _FIXED32),
+}
 _DTYPE = {field_type: dtype for dtype, (field_type, _) in _WIRE.items()}
 TAG = "tag_"
 
@@ -114,9 +117,7 @@ def _lay_out(columns: tuple[Column, ...], message: DescriptorProto) -> tuple[np.
         field_type, wire_type = _WIRE[f"<{column.kind}"]
         number = len(owner.field) + 1
         tag = _varint(number << 3 | wire_type)
-        owner.field.add(
-            name=column.name, number=number, type=field_type, label=FieldDescriptorProto.LABEL_OPTIONAL
-        )  # fmt: skip
+        owner.field.add(name=column.name, number=number, type=field_type, label=FieldDescriptorProto.LABEL_OPTIONAL)
         fields += [(f"{TAG}{column.path}", f"V{len(tag)}"), (column.path, f"<{column.kind}")]
         template += tag + bytes(np.dtype(column.kind).itemsize)
     return np.dtype(fields), np.frombuffer(template, np.uint8)
@@ -128,9 +129,12 @@ def _head(message: DescriptorProto, group: str, size: int) -> bytes:
     message.nested_type.add(name=kind)
     number = len(message.field) + 1
     message.field.add(
-        name=group, number=number, type=FieldDescriptorProto.TYPE_MESSAGE,
-        type_name=f".{PACKAGE}.{message.name}.{kind}", label=FieldDescriptorProto.LABEL_OPTIONAL,
-    )  # fmt: skip
+        name=group,
+        number=number,
+        type=FieldDescriptorProto.TYPE_MESSAGE,
+        type_name=f".{PACKAGE}.{message.name}.{kind}",
+        label=FieldDescriptorProto.LABEL_OPTIONAL,
+    )
     return _varint(number << 3 | _GROUP) + _varint(size)
 
 

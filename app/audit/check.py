@@ -124,10 +124,15 @@ def check(data: Path, index: Iterable[Witness], recordings: Iterable[Witness] = 
         walk.notes.append("there is no chain yet: it begins with the next line")
     last = walk.last
     return JournalCheck(
-        whole=problem is None, problem=problem, notes=walk.notes, lines=len(walk.hashes), unchained=walk.unchained,
-        newest=last.number if last else None, newest_hash=last.hash if last else None,
+        whole=problem is None,
+        problem=problem,
+        notes=walk.notes,
+        lines=len(walk.hashes),
+        unchained=walk.unchained,
+        newest=last.number if last else None,
+        newest_hash=last.hash if last else None,
         checked_at=datetime.now(UTC).isoformat(timespec="seconds"),
-    )  # fmt: skip
+    )
 
 
 def _compare(walk: Walk, index: list[Witness], recordings: list[Witness]) -> None:

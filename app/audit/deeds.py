@@ -81,9 +81,13 @@ def _note(request: HTTPConnection, asked: bytes, status: HTTPStatus, answered: b
         result = Result.FAILED if status >= HTTPStatus.INTERNAL_SERVER_ERROR else Result.REFUSED
         reason = str(_said(answered, "detail") or status.phrase)[:REASON_LENGTH]
     journal.deed(
-        name, deed.get("what") or " ".join(words), client=client_of(request), result=result,
-        by=deed.get("by") or _signed_in(request) or _named(request, asked), reason=reason,
-    )  # fmt: skip
+        name,
+        deed.get("what") or " ".join(words),
+        client=client_of(request),
+        result=result,
+        by=deed.get("by") or _signed_in(request) or _named(request, asked),
+        reason=reason,
+    )
 
 
 def _signed_in(request: HTTPConnection) -> str | None:

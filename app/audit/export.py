@@ -14,9 +14,21 @@ from app.audit.file import journals_in, lines_of
 from app.wire import JournalEntry
 
 COLUMNS = (
-    "number", "at", "kind", "action", "text", "by", "client", "result", "reason", "priority", "value", "limit", "unit",
+    "number",
+    "at",
+    "kind",
+    "action",
+    "text",
+    "by",
+    "client",
+    "result",
+    "reason",
+    "priority",
+    "value",
+    "limit",
+    "unit",
     "hash",
-)  # fmt: skip
+)
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 

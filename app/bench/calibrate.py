@@ -43,9 +43,16 @@ class _Session:
     """One calibration: what it asks, and what becomes of its fit."""
 
     def __init__(
-        self, tool: str | None, config: Path | None, person: str | None, days: int, into: Path | None, yes: bool,
-        as_json: bool, usual_tool: str | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        tool: str | None,
+        config: Path | None,
+        person: str | None,
+        days: int,
+        into: Path | None,
+        yes: bool,
+        as_json: bool,
+        usual_tool: str | None = None,
+    ) -> None:
         self._name = tool or usual_tool or load_settings(config).tool
         self.tool: Tool = load_tool(self._name)
         self._person, self._days = person or getpass.getuser(), days
@@ -89,9 +96,12 @@ class _Session:
                     raise
 
     def read_each(
-        self, values: list[float], question: Callable[[float], str], measure: Callable[[float], T],
+        self,
+        values: list[float],
+        question: Callable[[float], str],
+        measure: Callable[[float], T],
         told: Callable[[float, T], str],
-    ) -> list[T]:  # fmt: skip
+    ) -> list[T]:
         """A reading for each weight or gauge, one after the other."""
         found = []
         for n, value in enumerate(values, 1):
@@ -138,9 +148,14 @@ class _Session:
 
 @app.command()
 def tare(
-    tool: ToolOption = None, person: PersonOption = None, days: DaysOption = 90, into: IntoOption = None,
-    yes: YesOption = False, config: ConfigOption = None, as_json: JsonOption = False,
-) -> None:  # fmt: skip
+    tool: ToolOption = None,
+    person: PersonOption = None,
+    days: DaysOption = 90,
+    into: IntoOption = None,
+    yes: YesOption = False,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Rest voltage of the strain gage and its noise: ten seconds with the jaws open and nothing on the tool.
 
     Example: graspwatch calibrate tare --tool nidaq
@@ -159,9 +174,14 @@ def strain(
     weights: Annotated[
         str, typer.Option(metavar="N,N,…", help="Pulls on the handle in the order of their hanging, newtons.")
     ] = "0,2,4,6,8,10,5,0",
-    tool: ToolOption = None, person: PersonOption = None, days: DaysOption = 90, into: IntoOption = None,
-    yes: YesOption = False, config: ConfigOption = None, as_json: JsonOption = False,
-) -> None:  # fmt: skip
+    tool: ToolOption = None,
+    person: PersonOption = None,
+    days: DaysOption = 90,
+    into: IntoOption = None,
+    yes: YesOption = False,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Gain of the strain gage, Eq. (1), from known weights on the handle: 1 kg pulls with 9.81 N.
 
     Example: graspwatch calibrate strain --tool nidaq --weights 0,2,4,6,8,10,5,0
@@ -192,9 +212,14 @@ def stretch(
         list[Path] | None,
         typer.Argument(metavar="[FILE]…", help="Recordings whose jaws shut, instead of moving a tool."),
     ] = None,
-    tool: ToolOption = None, person: PersonOption = None, days: DaysOption = 90, into: IntoOption = None,
-    yes: YesOption = False, config: ConfigOption = None, as_json: JsonOption = False,
-) -> None:  # fmt: skip
+    tool: ToolOption = None,
+    person: PersonOption = None,
+    days: DaysOption = 90,
+    into: IntoOption = None,
+    yes: YesOption = False,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Stretch of the cable, Eq. (3): empty jaws are shut gently, with a force that rises and falls.
 
     Examples: graspwatch calibrate stretch --tool nidaq; graspwatch calibrate stretch liver4Hz1.lvm.gz --yes
@@ -221,9 +246,14 @@ def geometry(
     gauges: Annotated[
         str, typer.Option(metavar="MM,MM,…", help="Thickness of the gauges between the jaws, mm; 0: none.")
     ] = "0,2,4,6,8",
-    tool: ToolOption = None, person: PersonOption = None, days: DaysOption = 90, into: IntoOption = None,
-    yes: YesOption = False, config: ConfigOption = None, as_json: JsonOption = False,
-) -> None:  # fmt: skip
+    tool: ToolOption = None,
+    person: PersonOption = None,
+    days: DaysOption = 90,
+    into: IntoOption = None,
+    yes: YesOption = False,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Zero of the encoder (the opening of the jaws) and its ratio to the handle, Eqs. (4) to (6), from gauges.
 
     Calibrate the stretch before: it is taken out of the angles.

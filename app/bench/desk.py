@@ -202,20 +202,32 @@ def _described(value: float, found: Signals | list[Pass]) -> CalibrationReading:
     signals = found if isinstance(found, Signals) else measuring.merged(found)
     return CalibrationReading(
         value=value, strain_v=float(signals.strain_v.mean()), encoder_deg=float(signals.encoder_deg.mean())
-    )  # fmt: skip
+    )
 
 
 def _result(fit: Fit, tool: Tool, path: Path) -> CalibrationResult:
     thin = slice(None, None, max(1, len(fit.points[0]) // MOST_PLOTTED))
     constants = [
         Constant(
-            key=each.key, value=each.value, low=each.low, high=each.high, unit=each.unit, residual=each.residual,
-            residual_unit=each.residual_unit, readings=each.readings, before=fits.before(each, tool),
+            key=each.key,
+            value=each.value,
+            low=each.low,
+            high=each.high,
+            unit=each.unit,
+            residual=each.residual,
+            residual_unit=each.residual_unit,
+            readings=each.readings,
+            before=fits.before(each, tool),
         )
         for each in fit.constants
-    ]  # fmt: skip
+    ]
     return CalibrationResult(
-        file=str(path), constants=constants, remarks=list(fit.remarks), axes=list(fit.axes),
-        x=fit.points[0][thin].tolist(), y=fit.points[1][thin].tolist(),
-        line_x=fit.line[0].tolist(), line_y=fit.line[1].tolist(),
-    )  # fmt: skip
+        file=str(path),
+        constants=constants,
+        remarks=list(fit.remarks),
+        axes=list(fit.axes),
+        x=fit.points[0][thin].tolist(),
+        y=fit.points[1][thin].tolist(),
+        line_x=fit.line[0].tolist(),
+        line_y=fit.line[1].tolist(),
+    )

@@ -17,11 +17,19 @@ def write_fit(fit: Fit, tool: str, person: str, valid_days: int, into: Path) -> 
     today = date.today()
     measured = [
         Measured(
-            constant=each.key.partition(".")[2], value=each.value, low=each.low, high=each.high, unit=each.unit,
-            residual=each.residual, residual_unit=each.residual_unit, readings=each.readings, date=today, person=person,
+            constant=each.key.partition(".")[2],
+            value=each.value,
+            low=each.low,
+            high=each.high,
+            unit=each.unit,
+            residual=each.residual,
+            residual_unit=each.residual_unit,
+            readings=each.readings,
+            date=today,
+            person=person,
             expires=today + timedelta(days=valid_days),
         )
         for each in fit.constants
-    ]  # fmt: skip
+    ]
     values = {each.key: each.value for each in fit.constants}
     return write_calibrated(tool, values, measured, today, into)

@@ -54,9 +54,10 @@ def export(source: Path, target: Path, wanted: Format) -> list[Path]:
 def _about(run: RecordedRun) -> dict[str, str]:
     tool, library = run.rig.tool, run.rig.library
     return run.about | {
-        "force_scale": tool.scale_in_words, "tool_file": tool.model_dump_json(),
+        "force_scale": tool.scale_in_words,
+        "tool_file": tool.model_dump_json(),
         "tissue_library": library.model_dump_json(),
-    }  # fmt: skip
+    }
 
 
 def _sample_table(run: RecordedRun) -> pa.Table:
@@ -106,9 +107,15 @@ def _write_mat(run: RecordedRun, target: Path) -> None:
     about = {key: value for key, value in _about(run).items() if value}
     with target.open("wb") as file:  # given a name, scipy would add an ending to it
         scipy.io.savemat(
-            file, {"samples": {name[:63]: values for name, values in columns.items()}, "grasps": grasps,
-                   "about": json.dumps(about)}, do_compression=True, long_field_names=True,
-        )  # fmt: skip
+            file,
+            {
+                "samples": {name[:63]: values for name, values in columns.items()},
+                "grasps": grasps,
+                "about": json.dumps(about),
+            },
+            do_compression=True,
+            long_field_names=True,
+        )
 
 
 def _matlab(values: list[object]) -> np.ndarray:
@@ -121,5 +128,7 @@ def _matlab(values: list[object]) -> np.ndarray:
 
 
 _WRITERS: dict[Format, Callable[..., None]] = {
-    Format.CSV: _write_csv, Format.PARQUET: _write_parquet, Format.MAT: _write_mat,
-}  # fmt: skip
+    Format.CSV: _write_csv,
+    Format.PARQUET: _write_parquet,
+    Format.MAT: _write_mat,
+}

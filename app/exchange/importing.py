@@ -32,9 +32,10 @@ def import_labview(source: Path, folder: Path, rig: Rig, tissue: str | None, pro
         raise RecordingError(f"{source}: is an MCAP recording already. Copy it to {folder}.")
     began = started_at(source)
     about = {
-        "imported_from": source.name, "imported_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+        "imported_from": source.name,
+        "imported_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
         "imported_begun": f"{began.isoformat()}, in a zone that it does not say" if began else "not said",
-    }  # fmt: skip
+    }
     started_ns = round(began.replace(tzinfo=UTC).timestamp() * 1e6) * 1000 if began else source.stat().st_mtime_ns
     run = new_run(path.stem, PROTOCOL, 1, tissue)
     if began:

@@ -83,9 +83,12 @@ def learn(
         found = gather(files, rig, like, settings, least, lambda share: progress(READING_SHARE * share))
         library = fit(found.curves, rig, like, base, found.peak_v, name=_slug(out.stem), date=today)
         answers = validate(
-            found.recordings, of, rig, settings.identification,
+            found.recordings,
+            of,
+            rig,
+            settings.identification,
             lambda share: progress(READING_SHARE + (1 - READING_SHARE) * share),
-        )  # fmt: skip
+        )
     study = report(library.name, library, answers, {"tool": rig.name, "base": base, "date": today})
     write_whole(page, study.page())
     write_whole(data, json.dumps(study.document(), indent=2, allow_nan=False) + "\n")
@@ -123,10 +126,14 @@ def _show(
         learned = profile.learned
         if learned:
             tissues.add_row(
-                name, str(len(learned.recordings)), str(learned.grasps), f"{profile.alpha_n:.3g} N",
-                f"{profile.beta_per_m:.3g} /m", f"{profile.damping_kg_per_s:.3g} kg/s",
+                name,
+                str(len(learned.recordings)),
+                str(learned.grasps),
+                f"{profile.alpha_n:.3g} N",
+                f"{profile.beta_per_m:.3g} /m",
+                f"{profile.damping_kg_per_s:.3g} kg/s",
                 f"{profile.threshold_pa / 1e3:g} kPa",
-            )  # fmt: skip
+            )
     console.print(tissues)
     figures = Table("Figure", "Measured", title="On grasps it was not learned from")
     for figure in study.figures:

@@ -120,9 +120,10 @@ class Guard:
         where = address_of(connection)
         if wait_s := self._failures.wait_s(where):
             raise ProblemError(
-                HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens came from this address.",
+                HTTPStatus.TOO_MANY_REQUESTS,
+                "Too many wrong tokens came from this address.",
                 headers={"Retry-After": str(int(wait_s) + 1)},
-            )  # fmt: skip
+            )
         self.note(f"A token that is not good came from {where}")
         detail = f"This token is wrong, expired or taken back. {HOW_BY_TOKEN}"
         raise ProblemError(HTTPStatus.UNAUTHORIZED, detail, headers=CHALLENGE)
@@ -135,9 +136,10 @@ class Guard:
     def _count_as(self, key: str) -> None:
         if wait_s := self._rates.wait_s(key):
             raise ProblemError(
-                HTTPStatus.TOO_MANY_REQUESTS, "Too many requests: ask less often. STOP is always taken.",
+                HTTPStatus.TOO_MANY_REQUESTS,
+                "Too many requests: ask less often. STOP is always taken.",
                 headers={"Retry-After": str(int(wait_s) + 1)},
-            )  # fmt: skip
+            )
 
     # --- meanwhile ---------------------------------------------------------------------------------------------------
 

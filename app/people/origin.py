@@ -51,9 +51,10 @@ def comes_from_here(connection: HTTPConnection, hosts: Collection[str]) -> bool:
 def forwarded_headers(connection: HTTPConnection) -> list[tuple[str, str]]:
     """What proxies say, or somebody in their name."""
     return [
-        (name, value) for name, value in connection.headers.items()
+        (name, value)
+        for name, value in connection.headers.items()
         if name in FORWARDED or name.startswith("x-forwarded")
-    ]  # fmt: skip
+    ]
 
 
 def is_of_this_site(connection: HTTPConnection) -> bool | None:

@@ -14,9 +14,7 @@ from config.errors import RecordingError
 from estimator.recorded import estimate_columns
 
 PARTS_THAT_COUNT = ("conditioning", "identification", "limiter", "warnings")  # of the settings, for estimates
-WORDS = {
-    layout.TOOL: "tool", layout.LIBRARY: "library", layout.SETTINGS: "settings", layout.VERSIONS: "version of",
-}  # fmt: skip
+WORDS = {layout.TOOL: "tool", layout.LIBRARY: "library", layout.SETTINGS: "settings", layout.VERSIONS: "version of"}
 SHOWN = 12  # differences of the configuration
 
 
@@ -32,10 +30,13 @@ class Comparison:
 
     def document(self) -> dict[str, Any]:
         return {
-            "run": self.run_id, "compared_samples": self.compared, "unequal_samples": self.unequal,
-            "bit_for_bit": self.compared > 0 and not self.unequal, "first_unequal": self.first_unequal,
+            "run": self.run_id,
+            "compared_samples": self.compared,
+            "unequal_samples": self.unequal,
+            "bit_for_bit": self.compared > 0 and not self.unequal,
+            "first_unequal": self.first_unequal,
             "differences": self.differences,
-        }  # fmt: skip
+        }
 
     def text(self) -> str:
         """One line for people, and the differences."""

@@ -29,9 +29,17 @@ ENDING = ".mcap"
 def new_run(run_id: str, protocol: str, cycles: int, tissue: str | None) -> Run:
     """A run that begins now."""
     return Run(
-        id=run_id, protocol=protocol, cycles=cycles, tissue=tissue, by=None, state=RunState.RUNNING,
-        started_at=datetime.now(UTC).isoformat(), ended_at=None, why=None, grasps=0,
-    )  # fmt: skip
+        id=run_id,
+        protocol=protocol,
+        cycles=cycles,
+        tissue=tissue,
+        by=None,
+        state=RunState.RUNNING,
+        started_at=datetime.now(UTC).isoformat(),
+        ended_at=None,
+        why=None,
+        grasps=0,
+    )
 
 
 class HeadlessFile:
@@ -41,9 +49,16 @@ class HeadlessFile:
     """
 
     def __init__(
-        self, path: Path, rig: Rig, run: Run, protocol: Protocol | None = None, *,
-        started_ns: int | None = None, about: dict[str, str] | None = None, can_be_repeated: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        path: Path,
+        rig: Rig,
+        run: Run,
+        protocol: Protocol | None = None,
+        *,
+        started_ns: int | None = None,
+        about: dict[str, str] | None = None,
+        can_be_repeated: bool = False,
+    ) -> None:
         """`started_ns`: of the first sample, ns since 1970; None: now. `about`: what else is to be known.
 
         With `can_be_repeated`, an error leaves no file behind.
@@ -126,9 +141,15 @@ class HeadlessFile:
     def _open(self) -> RunFile:
         run, tick = self.run, str(self._first_tick)
         about = {
-            "run_id": run.id, "run_first_tick": tick, "first_tick": tick, "wall_offset_ns": str(self._started_ns),
-            "protocol": run.protocol, "tissue": run.tissue or "", "by": "", **self._about,
-        }  # fmt: skip
+            "run_id": run.id,
+            "run_first_tick": tick,
+            "first_tick": tick,
+            "wall_offset_ns": str(self._started_ns),
+            "protocol": run.protocol,
+            "tissue": run.tissue or "",
+            "by": "",
+            **self._about,
+        }
         attached = {layout.PROTOCOL: self._protocol.model_dump_json(indent=2).encode()} if self._protocol else {}
         self._file = RunFile(self._path, self._rig, about, attached, self._started_ns)
         self._write(RUN, run)

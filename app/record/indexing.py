@@ -35,10 +35,17 @@ def recorded_file(path: Path) -> FileRecord:
     """The file as a whole; one that cannot be read is a record too."""
     stat = path.stat()
     known = FileRecord(
-        name=path.name, run_id=None, size_bytes=stat.st_size,
-        made_at=datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds"), duration_s=None,
-        samples=None, lost_samples=None, format_version=None, condition=None, problem=None,
-    )  # fmt: skip
+        name=path.name,
+        run_id=None,
+        size_bytes=stat.st_size,
+        made_at=datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds"),
+        duration_s=None,
+        samples=None,
+        lost_samples=None,
+        format_version=None,
+        condition=None,
+        problem=None,
+    )
     try:
         container = Container(path)
     except RecordingError as error:
@@ -53,8 +60,11 @@ def recorded_file(path: Path) -> FileRecord:
         return known.model_copy(update={"problem": f"{path.name}: does not hold what a run's file says of itself."})
     return known.model_copy(
         update={
-            "run_id": about.get("run_id"), "format_version": about.get("format_version"), "samples": samples,
-            "duration_s": duration_s, "lost_samples": lost_samples,
+            "run_id": about.get("run_id"),
+            "format_version": about.get("format_version"),
+            "samples": samples,
+            "duration_s": duration_s,
+            "lost_samples": lost_samples,
             "condition": FileCondition.RECOVERED if ended.get("cut_off") else condition,
         }
-    )  # fmt: skip
+    )

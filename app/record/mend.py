@@ -75,9 +75,7 @@ def _rewrite(container: Container, writer: Writer) -> None:
             case Metadata():
                 writer.add_metadata(record.name, record.metadata)
             case Attachment():
-                writer.add_attachment(
-                    record.create_time, record.log_time, record.name, record.media_type, record.data
-                )  # fmt: skip
+                writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
             case Chunk():
                 try:
                     inner = breakup_chunk(replace(record, compression="", data=unpack(record)))

@@ -176,9 +176,11 @@ class Recorder:
         known = self._brief if self._brief and self._brief.run_id == block.run else None
         first = self._blocks[0] if self._blocks else block
         about = {
-            "run_id": block.run, "run_first_tick": str(int(block.samples["tick"][0])),
-            "first_tick": str(int(first.samples["tick"][0])), "wall_offset_ns": str(self._wall_offset_ns),
-        }  # fmt: skip
+            "run_id": block.run,
+            "run_first_tick": str(int(block.samples["tick"][0])),
+            "first_tick": str(int(first.samples["tick"][0])),
+            "wall_offset_ns": str(self._wall_offset_ns),
+        }
         attachments = {}
         if known:
             about |= {"cycles": str(known.cycles), "tissue": known.tissue or "", "by": known.by or ""}

@@ -131,14 +131,18 @@ class RunFile:
     def _described(self, rig: Rig, about: Mapping[str, str]) -> dict[str, str]:
         calibration = rig.tool.calibration
         return {
-            "format_version": str(layout.FORMAT_VERSION), "graspwatch": __version__, "tool": rig.tool.name,
-            "library": rig.library.name, "calibrated": calibration.date, "calibrated_by": calibration.person,
+            "format_version": str(layout.FORMAT_VERSION),
+            "graspwatch": __version__,
+            "tool": rig.tool.name,
+            "library": rig.library.name,
+            "calibrated": calibration.date,
+            "calibrated_by": calibration.person,
             "force_scale": rig.tool.scale_in_words,
             "sample_rate_hz": f"{rig.tool.board.sample_rate_hz:g}",
             "clock": "log time: the sample clock, set to the computer's clock at the first sample; "
             "publish time: the computer's clock when the block had been read",
             **about,
-        }  # fmt: skip
+        }
 
     def _declare(self, topic: str, rows: RowLayout) -> int:
         schema = self._writer.register_schema(rows.schema_name, "protobuf", rows.descriptor_set)

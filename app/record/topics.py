@@ -13,8 +13,12 @@ from app.wire import Alarm, GraspEnded, Identification, JournalEntry, Run
 
 RUN, GRASP, ALARM, IDENTIFICATION, JOURNAL = "/run", "/grasp", "/alarm", "/identification", "/journal"
 TOPICS: dict[str, type[BaseModel]] = {
-    RUN: Run, GRASP: GraspEnded, ALARM: Alarm, IDENTIFICATION: Identification, JOURNAL: JournalEntry,
-}  # fmt: skip
+    RUN: Run,
+    GRASP: GraspEnded,
+    ALARM: Alarm,
+    IDENTIFICATION: Identification,
+    JOURNAL: JournalEntry,
+}
 _TOPIC_OF = {model: topic for topic, model in TOPICS.items()}
 
 

@@ -109,9 +109,12 @@ class _Work:
         self._recorder.finished.clear()
         file = self._recorder.file
         self._tell(
-            "recording", file=file.path.name if file else None, samples=file.samples if file else 0,
-            missing_blocks=self._samples.missing, realtime=str(self._priority),
-        )  # fmt: skip
+            "recording",
+            file=file.path.name if file else None,
+            samples=file.samples if file else 0,
+            missing_blocks=self._samples.missing,
+            realtime=str(self._priority),
+        )
 
     def _tell(self, kind: str, **content: object) -> None:
         self._publisher.send_multipart(bus.pack_notice(kind, **content))

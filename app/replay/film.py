@@ -57,9 +57,11 @@ class Film:
     def open(cls, folder: Path) -> Self:
         with np.load(folder / INDEX) as index:
             return cls(
-                np.load(folder / COLUMNS, mmap_mode="r"), np.memmap(folder / TOLD, np.uint8, "r"), Index(**index),
+                np.load(folder / COLUMNS, mmap_mode="r"),
+                np.memmap(folder / TOLD, np.uint8, "r"),
+                Index(**index),
                 Tool.model_validate_json((folder / TOOL).read_bytes()),
-            )  # fmt: skip
+            )
 
     @property
     def duration_s(self) -> float:

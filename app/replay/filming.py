@@ -143,6 +143,13 @@ class _Writer:
         ticks, kinds, ends = np.array(self._messages, np.int64).T
         first_ticks, first_rows = np.array(self._pieces, np.int64).T
         np.savez(
-            path, rate_hz=self._rate_hz, first_ticks=first_ticks, first_rows=first_rows, ticks=ticks, kinds=kinds,
-            ends=ends, alarms=np.array(self._alarm_ids), grasp_starts_s=np.array(self._grasp_starts_s, float),
-        )  # fmt: skip
+            path,
+            rate_hz=self._rate_hz,
+            first_ticks=first_ticks,
+            first_rows=first_rows,
+            ticks=ticks,
+            kinds=kinds,
+            ends=ends,
+            alarms=np.array(self._alarm_ids),
+            grasp_starts_s=np.array(self._grasp_starts_s, float),
+        )

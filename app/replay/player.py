@@ -91,18 +91,35 @@ class Player:
 
     def _position(self) -> ReplayState:
         return ReplayState(
-            name=self._name, prepared=1.0, playing=self._head.playing, position_s=self._head.position_s,
-            duration_s=self._film.duration_s, speed=self._head.speed, grasps=self._film.grasp_starts_s,
-        )  # fmt: skip
+            name=self._name,
+            prepared=1.0,
+            playing=self._head.playing,
+            position_s=self._head.position_s,
+            duration_s=self._film.duration_s,
+            speed=self._head.speed,
+            grasps=self._film.grasp_starts_s,
+        )
 
     def _state(self) -> State:
         return State(
-            server_time_ms=self._at_ms, phase=Phase.REPLAY, safety=Safety.DISARMED, safety_why=None,
-            run=None, last_run=None, limit_n=None, simulated_tissue=None, demo=None,
-            control=None, rate_hz=self._film.rate_hz, lost_samples=self._film.lost_samples(self._head.shown),
-            estimator_latency_ms=None, viewers=self._showing.viewers, recording=NO_RECORDER,
-            free_disk_bytes=free_bytes(self._plan.data), faults=self._film.faults(self._head.shown),
-        )  # fmt: skip
+            server_time_ms=self._at_ms,
+            phase=Phase.REPLAY,
+            safety=Safety.DISARMED,
+            safety_why=None,
+            run=None,
+            last_run=None,
+            limit_n=None,
+            simulated_tissue=None,
+            demo=None,
+            control=None,
+            rate_hz=self._film.rate_hz,
+            lost_samples=self._film.lost_samples(self._head.shown),
+            estimator_latency_ms=None,
+            viewers=self._showing.viewers,
+            recording=NO_RECORDER,
+            free_disk_bytes=free_bytes(self._plan.data),
+            faults=self._film.faults(self._head.shown),
+        )
 
 
 class Replay:
@@ -140,9 +157,14 @@ class Replay:
         """The film, once it is there; the viewer is told how far it is."""
         while not self._showing.film.done():
             state = ReplayState(
-                name=self._name, prepared=min(self._showing.prepared, 0.99), playing=False, position_s=0.0,
-                duration_s=None, speed=1.0, grasps=[],
-            )  # fmt: skip
+                name=self._name,
+                prepared=min(self._showing.prepared, 0.99),
+                playing=False,
+                position_s=0.0,
+                duration_s=None,
+                speed=1.0,
+                grasps=[],
+            )
             if self._viewer.reads:
                 self._viewer.send(state.model_dump_json())
             await asyncio.wait([self._showing.film], timeout=POSITION_PERIOD_S)

@@ -136,11 +136,17 @@ class Shelf:
         facts = content.facts
         modified = datetime.fromtimestamp(file.modified_ns / 1e9, UTC).isoformat(timespec="seconds")
         return RecordingInfo(
-            name=name, size_bytes=file.size_bytes, modified_at=modified,
-            duration_s=content.duration_s, problem=content.problem, whole=content.whole,
-            run_id=facts.get("run_id"), protocol=facts.get("protocol"), tissue=facts.get("tissue") or None,
+            name=name,
+            size_bytes=file.size_bytes,
+            modified_at=modified,
+            duration_s=content.duration_s,
+            problem=content.problem,
+            whole=content.whole,
+            run_id=facts.get("run_id"),
+            protocol=facts.get("protocol"),
+            tissue=facts.get("tissue") or None,
             by=facts.get("by") or None,
-        )  # fmt: skip
+        )
 
 
 def _by_name(paths: tuple[Path, ...]) -> dict[str, Path]:

@@ -42,13 +42,15 @@ def _grasps(report: Report, lines: list[Channel], progress: Progress) -> list[di
     for number, (story, grasp, _) in enumerate(drawn, 1):
         marks = verdict_bars([grasp], looks) + alarm_marks(story.alarms_of(grasp), story.rate_hz)
         curve = curve_of(story, grasp)
-        grasps.append({
-            "title": f"Grasp {grasp.index} of {story.title}: {looks[grasp.label].title}",
-            "course": course(story, story.during(grasp), lines, most, marks),
-            "strain": _list(curve and curve.strain),
-            "measured_kpa": _list(curve and curve.measured_kpa),
-            "estimated_kpa": _list(curve and curve.estimated_kpa),
-        })  # fmt: skip
+        grasps.append(
+            {
+                "title": f"Grasp {grasp.index} of {story.title}: {looks[grasp.label].title}",
+                "course": course(story, story.during(grasp), lines, most, marks),
+                "strain": _list(curve and curve.strain),
+                "measured_kpa": _list(curve and curve.measured_kpa),
+                "estimated_kpa": _list(curve and curve.estimated_kpa),
+            }
+        )
         progress(READING + (1 - READING) * 0.8 * number / len(drawn))
     return grasps
 

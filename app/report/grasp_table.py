@@ -11,9 +11,24 @@ from estimator.blocks import GraspRecord
 from estimator.decision import UNDECIDED
 from estimator.studies.page import WORDS, Markup, rows
 
-COLUMNS = ["grasp", "force", "start, s", "verdict", "probability", "decided after, ms", "peak force, N",
-           "of the limit", "peak displacement, mm", "α, N", "β, 1/m", "d, kg/s", "convergence, s", "force error, N",
-           "warnings", "remarks"]  # fmt: skip
+COLUMNS = [
+    "grasp",
+    "force",
+    "start, s",
+    "verdict",
+    "probability",
+    "decided after, ms",
+    "peak force, N",
+    "of the limit",
+    "peak displacement, mm",
+    "α, N",
+    "β, 1/m",
+    "d, kg/s",
+    "convergence, s",
+    "force error, N",
+    "warnings",
+    "remarks",
+]
 IN_WORDS = {"force", "start, s", "verdict", "probability", "warnings", "remarks"}
 
 
@@ -47,12 +62,22 @@ def _cells(report: Report, story: Story, record: GraspRecord, observation: Obser
     drawn = spark(traces["tick"], traces["jaw_force_filtered_n"], traces["limit_n"], most_n)
     decided, moved = record.time_to_decision_s, record.peak_displacement_m
     return [
-        Markup(drawn), f"{record.start_s:.3f}", _verdict(report.looks[record.label]), _percent(record.probability),
-        None if decided is None else round(1e3 * decided), record.peak_force_n,
-        _percent_of_limit(record.peak_share_of_limit), None if moved is None else 1e3 * moved,
-        record.alpha_n, record.beta_per_m, record.damping_kg_per_s, observation.convergence_s,
-        observation.force_error_n, _warnings(story, record), _remarks(report, story, record, observation),
-    ]  # fmt: skip
+        Markup(drawn),
+        f"{record.start_s:.3f}",
+        _verdict(report.looks[record.label]),
+        _percent(record.probability),
+        None if decided is None else round(1e3 * decided),
+        record.peak_force_n,
+        _percent_of_limit(record.peak_share_of_limit),
+        None if moved is None else 1e3 * moved,
+        record.alpha_n,
+        record.beta_per_m,
+        record.damping_kg_per_s,
+        observation.convergence_s,
+        observation.force_error_n,
+        _warnings(story, record),
+        _remarks(report, story, record, observation),
+    ]
 
 
 def _verdict(look: Look) -> Markup:

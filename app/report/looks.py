@@ -7,8 +7,15 @@ from estimator.alarms import Priority
 from estimator.decision import UNDECIDED, UNKNOWN
 
 # Okabe and Ito's palette in the dashboard's order, and the colour of text on each
-SLOTS = (("#56b4e9", "#000000"), ("#e69f00", "#000000"), ("#009e73", "#000000"), ("#cc79a7", "#000000"),
-         ("#0072b2", "#ffffff"), ("#f0e442", "#000000"), ("#d55e00", "#000000"))  # fmt: skip
+SLOTS = (
+    ("#56b4e9", "#000000"),
+    ("#e69f00", "#000000"),
+    ("#009e73", "#000000"),
+    ("#cc79a7", "#000000"),
+    ("#0072b2", "#ffffff"),
+    ("#f0e442", "#000000"),
+    ("#d55e00", "#000000"),
+)
 GREY, PALE = ("#808b94", "#000000"), ("#c3ccd4", "#000000")
 ALARMS = {Priority.LOW: "#00d5f0", Priority.MEDIUM: "#ffd400", Priority.HIGH: "#d40020"}
 

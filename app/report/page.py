@@ -21,27 +21,45 @@ KIND = "Graspwatch report"
 def page(report: Report, progress: Progress) -> str:
     """The whole page."""
     data = drawn_by_script(report, progress)
-    body = "".join([
-        _summary(report), _grasps(report, data), _courses(report, data), _stress(report), _statistics(report),
-        _how(report, data), _script(data),
-    ])  # fmt: skip
+    body = "".join(
+        [
+            _summary(report),
+            _grasps(report, data),
+            _courses(report, data),
+            _stress(report),
+            _statistics(report),
+            _how(report, data),
+            _script(data),
+        ]
+    )
     return document(report.title, body, STYLE, kind=KIND)
 
 
 def _summary(report: Report) -> str:
-    links = [("grasps", "Grasps"), ("courses", "Courses"), ("stress", "Stress over strain"),
-             ("statistics", "Statistics"), ("how", "How it was made")]  # fmt: skip
+    links = [
+        ("grasps", "Grasps"),
+        ("courses", "Courses"),
+        ("stress", "Stress over strain"),
+        ("statistics", "Statistics"),
+        ("how", "How it was made"),
+    ]
     menu = "".join(f'<li><a href="#{name}">{title}</a></li>' for name, title in links)
     rows = []
     for story in report.stories:
         verdicts = Counter(report.looks[grasp.label].title for grasp in story.grasps)
         alarms = sum(bool(story.alarms_of(grasp)) for grasp in story.grasps)
-        rows.append([
-            story.title, f"{story.duration_s:.1f} s", story.lost_samples,
-            _title(report, report.labels.get(story.title) or story.tissue), len(story.grasps),
-            sum(not grasp.valid for grasp in story.grasps),
-            ", ".join(f"{count} {name}" for name, count in verdicts.most_common()) or "none", alarms,
-        ])  # fmt: skip
+        rows.append(
+            [
+                story.title,
+                f"{story.duration_s:.1f} s",
+                story.lost_samples,
+                _title(report, report.labels.get(story.title) or story.tissue),
+                len(story.grasps),
+                sum(not grasp.valid for grasp in story.grasps),
+                ", ".join(f"{count} {name}" for name, count in verdicts.most_common()) or "none",
+                alarms,
+            ]
+        )
     columns = [
         "recording",
         "duration",

@@ -21,8 +21,15 @@ from estimator.decision import UNKNOWN
 from estimator.studies.page import INK
 
 RAW = "#8a96a0"
-AXES = {"verdict": 0.22, "force, N": 1.5, "displ., mm": 1.0, "probability": 1.0, "α, N": 0.8, "β, 1/m": 0.8,
-        "d, kg/s": 0.8}  # fmt: skip
+AXES = {
+    "verdict": 0.22,
+    "force, N": 1.5,
+    "displ., mm": 1.0,
+    "probability": 1.0,
+    "α, N": 0.8,
+    "β, 1/m": 0.8,
+    "d, kg/s": 0.8,
+}
 VERDICT, FORCE, DISPLACEMENT, PROBABILITY, ALPHA = 1, 2, 3, 4, 5  # rows of a course
 HEIGHT = 700
 BEYOND = 10.0  # times the library's parameters: where an axis ends, since filters that are wrong run far away
@@ -76,9 +83,16 @@ def course_template(library: TissueLibrary, looks: dict[str, Look], lines: list[
         named = line.row <= PROBABILITY
         title = looks[line.group].title if line.group else line.name
         figure.add_scatter(
-            x=[], y=[], name=title, mode="lines", line=line.line, legendgroup=line.group, showlegend=named,
-            row=line.row, col=1,
-        )  # fmt: skip
+            x=[],
+            y=[],
+            name=title,
+            mode="lines",
+            line=line.line,
+            legendgroup=line.group,
+            showlegend=named,
+            row=line.row,
+            col=1,
+        )
     for row, (title, _) in enumerate(AXES.items(), 1):
         figure.update_yaxes(title={"text": title, "font": {"size": 12}}, row=row, col=1)
     figure.update_yaxes(range=[0, 1], showticklabels=False, title="", fixedrange=True, row=VERDICT, col=1)
@@ -124,15 +138,25 @@ def verdict_bars(grasps: Iterable[GraspRecord], looks: dict[str, Look]) -> list[
     for name, look in looks.items():
         own = [grasp for grasp in grasps if grasp.label == name]
         if own:
-            bars.append({
-                "type": "bar", "name": look.title, "legendgroup": name, "showlegend": False,
-                "x": [round((grasp.start_s + grasp.end_s) / 2, 4) for grasp in own],
-                "width": [round(grasp.end_s - grasp.start_s, 4) for grasp in own],
-                "y": [1] * len(own), "marker": {"color": look.colour, "line": {"width": 0}},
-                "text": [look.mark] * len(own), "textposition": "inside", "insidetextanchor": "middle", "textangle": 0,
-                "insidetextfont": {"color": look.on, "size": 12},
-                "hovertext": [f"Grasp {grasp.index}: {look.title}" for grasp in own], "hoverinfo": "text",
-            })  # fmt: skip
+            bars.append(
+                {
+                    "type": "bar",
+                    "name": look.title,
+                    "legendgroup": name,
+                    "showlegend": False,
+                    "x": [round((grasp.start_s + grasp.end_s) / 2, 4) for grasp in own],
+                    "width": [round(grasp.end_s - grasp.start_s, 4) for grasp in own],
+                    "y": [1] * len(own),
+                    "marker": {"color": look.colour, "line": {"width": 0}},
+                    "text": [look.mark] * len(own),
+                    "textposition": "inside",
+                    "insidetextanchor": "middle",
+                    "textangle": 0,
+                    "insidetextfont": {"color": look.on, "size": 12},
+                    "hovertext": [f"Grasp {grasp.index}: {look.title}" for grasp in own],
+                    "hoverinfo": "text",
+                }
+            )
     return bars
 
 
@@ -141,15 +165,26 @@ def alarm_marks(alarms: list[ForceAlarm], rate_hz: float) -> list[dict[str, Any]
     told = [alarm for alarm in alarms if alarm.priority]
     if not told:
         return []
-    return [{
-        "type": "scatter", "mode": "markers", "name": "warning", "xaxis": "x2", "yaxis": "y2",
-        "x": [alarm.tick / rate_hz for alarm in told],
-        "y": [round(alarm.force_n, 3) for alarm in told],
-        "marker": {"symbol": "triangle-down", "size": 11, "color": [ALARMS[alarm.priority] for alarm in told],
-                   "line": {"color": INK, "width": 1}},
-        "hovertext": [f"{alarm.priority}: {alarm.force_n:.2f} N of {alarm.threshold_n:.2f} N" for alarm in told],
-        "hoverinfo": "text", "showlegend": False,
-    }]  # fmt: skip
+    return [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "warning",
+            "xaxis": "x2",
+            "yaxis": "y2",
+            "x": [alarm.tick / rate_hz for alarm in told],
+            "y": [round(alarm.force_n, 3) for alarm in told],
+            "marker": {
+                "symbol": "triangle-down",
+                "size": 11,
+                "color": [ALARMS[alarm.priority] for alarm in told],
+                "line": {"color": INK, "width": 1},
+            },
+            "hovertext": [f"{alarm.priority}: {alarm.force_n:.2f} N of {alarm.threshold_n:.2f} N" for alarm in told],
+            "hoverinfo": "text",
+            "showlegend": False,
+        }
+    ]
 
 
 def box_plots(found: Statistics, library: TissueLibrary, looks: dict[str, Look]) -> dict[str, Any]:
@@ -158,17 +193,28 @@ def box_plots(found: Statistics, library: TissueLibrary, looks: dict[str, Look])
     for k, parameter in enumerate(PARAMETERS.values()):
         for name, logs in found.values.items():
             figure.add_box(
-                y=np.exp(logs[:, k]), name=looks[name].title, marker_color=looks[name].colour, showlegend=False,
-                boxpoints="all" if len(logs) <= 60 else "outliers", jitter=0.4, marker_size=4, line_width=1.5,
-                row=1, col=k + 1,
-            )  # fmt: skip
+                y=np.exp(logs[:, k]),
+                name=looks[name].title,
+                marker_color=looks[name].colour,
+                showlegend=False,
+                boxpoints="all" if len(logs) <= 60 else "outliers",
+                jitter=0.4,
+                marker_size=4,
+                line_width=1.5,
+                row=1,
+                col=k + 1,
+            )
         known = [name for name in found.values if name in library.tissues]
         figure.add_scatter(
             x=[looks[name].title for name in known],
             y=[getattr(library.tissues[name], parameter) for name in known],
-            mode="markers", marker={"symbol": "diamond-open", "size": 11, "color": INK, "line": {"width": 1.5}},
-            name="library", showlegend=k == 0 and bool(known), row=1, col=k + 1,
-        )  # fmt: skip
+            mode="markers",
+            marker={"symbol": "diamond-open", "size": 11, "color": INK, "line": {"width": 1.5}},
+            name="library",
+            showlegend=k == 0 and bool(known),
+            row=1,
+            col=k + 1,
+        )
     ticks = [digit * 10.0**power for power in range(-9, 9) for digit in (1, 3)]
     figure.update_yaxes(type="log", tickvals=ticks, ticktext=[f"{tick:g}" for tick in ticks])
     figure.update_layout(height=430, legend={**LEGEND, "y": 1.1})

@@ -121,9 +121,13 @@ def versions() -> dict[str, str]:
 
 
 def read_report(
-    files: Sequence[Path], tool: Tool, library: TissueLibrary, settings: Settings, labels: Mapping[Path, str],
+    files: Sequence[Path],
+    tool: Tool,
+    library: TissueLibrary,
+    settings: Settings,
+    labels: Mapping[Path, str],
     progress: Progress,
-) -> Report:  # fmt: skip
+) -> Report:
     """Open all recordings, then take them through the estimator, one after the other; `tool` made LabVIEW's.
 
     Raises:

@@ -19,10 +19,24 @@ from estimator.session import EstimationSession
 Progress = Callable[[float], None]  # share done
 
 # Single precision and what a report draws: an hour at 1 kHz then takes a third of a gigabyte.
-SIGNALS = ("jaw_force_n", "jaw_force_filtered_n", "jaw_displacement_m", "jaw_displacement_filtered_m",
-           "tissue_displacement_m", "motor_command_v", "limit_n")  # fmt: skip
-ESTIMATES = ("probability", "probability_unknown", "threshold_n", "force_n", "alpha_n", "beta_per_m",
-             "damping_kg_per_s")  # fmt: skip
+SIGNALS = (
+    "jaw_force_n",
+    "jaw_force_filtered_n",
+    "jaw_displacement_m",
+    "jaw_displacement_filtered_m",
+    "tissue_displacement_m",
+    "motor_command_v",
+    "limit_n",
+)
+ESTIMATES = (
+    "probability",
+    "probability_unknown",
+    "threshold_n",
+    "force_n",
+    "alpha_n",
+    "beta_per_m",
+    "damping_kg_per_s",
+)
 
 
 def trace_dtype(tissues: int) -> np.dtype:
@@ -109,9 +123,7 @@ def open_recording(path: Path, tool: Tool) -> Recording:
     return recording
 
 
-def story_of(
-    recording: Recording, title: str, library: TissueLibrary, settings: Settings, progress: Progress
-) -> Story:
+def story_of(recording: Recording, title: str, library: TissueLibrary, settings: Settings, progress: Progress) -> Story:
     """Take a recording through calibration, conditioning, estimation and identification, and keep what is found."""
     tool = recording.tool
     teller = Storyteller(title, tool, library, settings, recording.samples)
@@ -173,7 +185,17 @@ class Storyteller:
         if last := self._session.finish():
             self._grasps.append(last)
         return Story(
-            self._title, self._tool, self._library, self._settings, self._traces[: self.rows], tuple(self._grasps),
-            tuple(self._alarms), tuple(self._withdrawals), self._thickness_m, self._shut_tick, self._lost_samples,
-            tissue, facts or {},
-        )  # fmt: skip
+            self._title,
+            self._tool,
+            self._library,
+            self._settings,
+            self._traces[: self.rows],
+            tuple(self._grasps),
+            tuple(self._alarms),
+            tuple(self._withdrawals),
+            self._thickness_m,
+            self._shut_tick,
+            self._lost_samples,
+            tissue,
+            facts or {},
+        )

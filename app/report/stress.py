@@ -64,14 +64,21 @@ def references(library: TissueLibrary, looks: dict[str, Look]) -> go.Figure:
         colour, reach = looks[name].colour, max(reach, float(strain[-1]))
         figure.add_scatter(
             x=np.concatenate([strain / factor, (strain * factor)[::-1]]),
-            y=np.concatenate([stress_kpa, stress_kpa[::-1]]), fill="toself", mode="none",
+            y=np.concatenate([stress_kpa, stress_kpa[::-1]]),
+            fill="toself",
+            mode="none",
             fillcolor=f"rgba({int(colour[1:3], 16)}, {int(colour[3:5], 16)}, {int(colour[5:], 16)}, 0.22)",
-            legendgroup=name, showlegend=False, hoverinfo="skip",
-        )  # fmt: skip
+            legendgroup=name,
+            showlegend=False,
+            hoverinfo="skip",
+        )
         figure.add_scatter(
-            x=strain, y=stress_kpa, name=f"{looks[name].title}, library", legendgroup=name,
+            x=strain,
+            y=stress_kpa,
+            name=f"{looks[name].title}, library",
+            legendgroup=name,
             line={"color": colour, "width": 2},
-        )  # fmt: skip
+        )
     figure.update_xaxes(title="strain, compression by thickness", range=[0, 1.1 * reach])
     figure.update_yaxes(title="stress, kPa", range=[0, most_n / library.jaw_area_m2 / 1e3])
     figure.update_layout(height=460, legend=LEGEND)
@@ -88,6 +95,11 @@ def _spread_of_log(library: TissueLibrary, name: str, profile: TissueProfile, fo
 def add_grasp(figure: go.Figure, curve: Curve, title: str, look: Look) -> None:
     """A thin line for one of many grasps."""
     figure.add_scatter(
-        x=curve.strain.astype(np.float32), y=curve.measured_kpa.astype(np.float32), name=title, showlegend=False,
-        legendgroup=look.name, line={"color": look.colour, "width": 1}, opacity=0.75,
-    )  # fmt: skip
+        x=curve.strain.astype(np.float32),
+        y=curve.measured_kpa.astype(np.float32),
+        name=title,
+        showlegend=False,
+        legendgroup=look.name,
+        line={"color": look.colour, "width": 1},
+        opacity=0.75,
+    )

@@ -54,11 +54,18 @@ def _table_7(found: Statistics, library: TissueLibrary, looks: dict[str, Look]) 
     for name, parameters in found.table_7.items():
         profile = library.tissues.get(name)
         for parameter, value in parameters.items():
-            rows.append([
-                looks[name].title, UNITS[parameter], len(found.groups[name]), value.mean, value.geometric_mean,
-                value.log_sd, getattr(profile, PARAMETERS[parameter]) if profile else None,
-                _printed_7(parameter, name, library),
-            ])  # fmt: skip
+            rows.append(
+                [
+                    looks[name].title,
+                    UNITS[parameter],
+                    len(found.groups[name]),
+                    value.mean,
+                    value.geometric_mean,
+                    value.log_sd,
+                    getattr(profile, PARAMETERS[parameter]) if profile else None,
+                    _printed_7(parameter, name, library),
+                ]
+            )
     return Table(
         "Table VII: parameters at the grasp's end",
         ["tissue", "of", "grasps", "mean", "geometric mean", "SD of the logarithm", "library", "paper: mean"],

@@ -21,9 +21,7 @@ PREVIEW_POINTS = 200
 
 
 @router.get(
-    "/api/health",
-    dependencies=[ANYBODY],
-    responses={503: {"model": Health, "description": "Starting, or faulted"}},
+    "/api/health", dependencies=[ANYBODY], responses={503: {"model": Health, "description": "Starting, or faulted"}}
 )
 async def health(request: Request, response: Response) -> Health:
     """Ready once the filters are compiled and samples arrive."""

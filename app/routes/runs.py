@@ -64,9 +64,7 @@ async def start_run(request: Request, wanted: Annotated[RunRequest, Body()]) -> 
     await _make_room(station)
     by = signed(request, wanted.by)
     try:
-        return await station.start_run(
-            protocol, cycles, wanted.tissue or station.simulated_tissue, by, override
-        )
+        return await station.start_run(protocol, cycles, wanted.tissue or station.simulated_tissue, by, override)
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
@@ -115,9 +113,7 @@ def _check_tissue(station: Station, tissue: str | None) -> None:
 
 
 @router.post(
-    "/arm",
-    dependencies=[needs(Role.OPERATOR)],
-    responses={409: {"description": "It cannot be armed", **PROBLEM}},
+    "/arm", dependencies=[needs(Role.OPERATOR)], responses={409: {"description": "It cannot be armed", **PROBLEM}}
 )
 async def arm(request: Request, wanted: ArmRequest | None = None) -> SafetyReport:
     """Tare the tool and test it at rest, so that it may move. A start does so itself, unless the settings forbid it."""
@@ -191,9 +187,7 @@ async def _who_stops(request: Request) -> str | None:
     return signed(request, said)
 
 
-@router.post(
-    "/runs/{run_id}/stop", dependencies=[needs(Role.VIEWER)], responses=NO_SUCH_RUN, openapi_extra=STOP_BODY
-)
+@router.post("/runs/{run_id}/stop", dependencies=[needs(Role.VIEWER)], responses=NO_SUCH_RUN, openapi_extra=STOP_BODY)
 async def stop_run(request: Request, run_id: str) -> StopAnswer:
     """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
     current = station_of(request).runs.current

@@ -148,9 +148,7 @@ def chained(connection: Connection) -> list[Place]:
 
 def files(asked: FileQuestion) -> Select[tuple[FileRow]]:
     query = select(FileRow).where(
-        *_equal((FileRow.run_id, asked.run)),
-        *_within(FileRow.made_ms, asked),
-        *_containing(asked.q, FileRow.name),
+        *_equal((FileRow.run_id, asked.run)), *_within(FileRow.made_ms, asked), *_containing(asked.q, FileRow.name)
     )
     if asked.deleted is not None:
         query = query.where(FileRow.deleted_ms.is_not(None) if asked.deleted else FileRow.deleted_ms.is_(None))

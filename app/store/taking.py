@@ -144,10 +144,14 @@ def _take_line(session: Session, entry: JournalEntry) -> None:
         return
     session.add(
         AuditRow(
-            key=key, at_ms=milliseconds(entry.at), kind=entry.kind.value, text=_words(entry.text), by=_words(entry.by),
+            key=key,
+            at_ms=milliseconds(entry.at),
+            kind=entry.kind.value,
+            text=_words(entry.text),
+            by=_words(entry.by),
             message=_whole(entry),
         )
-    )  # fmt: skip
+    )
     for about in (entry.run, entry.alarm, entry.file):
         if about is not None:
             take(session, about)

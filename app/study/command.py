@@ -51,8 +51,11 @@ def _with_seeds(study: StudyEntry) -> Callable[..., None]:
         seeds: Annotated[
             int, typer.Option(min=1, max=study.most, help="Noises and wrong guesses of each tissue.")
         ] = study.usual,
-        seed: SeedOption = 0, out: OutOption = FOLDER, jobs: JobsOption = None, as_json: JsonOption = False,
-    ) -> None:  # fmt: skip
+        seed: SeedOption = 0,
+        out: OutOption = FOLDER,
+        jobs: JobsOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
         from estimator.studies.course import Bench  # takes a second
 
         _show(_run(study, Bench(), seeds, seed, jobs), out, as_json)
@@ -62,11 +65,18 @@ def _with_seeds(study: StudyEntry) -> Callable[..., None]:
 
 def _with_thickness(study: StudyEntry) -> Callable[..., None]:
     def command(
-        grasps: GraspsOption = study.usual, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
-        protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
-        thickness: ThicknessOption = True, seed: SeedOption = 0, out: OutOption = FOLDER, jobs: JobsOption = None,
+        grasps: GraspsOption = study.usual,
+        noise_mv: NoiseOption = 2.0,
+        spread: SpreadOption = 1.0,
+        protocol: ProtocolOption = "trapezoid_2hz",
+        library: LibraryOption = "porcine",
+        touch: TouchOption = True,
+        thickness: ThicknessOption = True,
+        seed: SeedOption = 0,
+        out: OutOption = FOLDER,
+        jobs: JobsOption = None,
         as_json: JsonOption = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
         _show(_run(study, bench, grasps, seed, jobs), out, as_json)
 
@@ -75,10 +85,17 @@ def _with_thickness(study: StudyEntry) -> Callable[..., None]:
 
 def _without_thickness(study: StudyEntry) -> Callable[..., None]:
     def command(
-        grasps: GraspsOption = study.usual, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
-        protocol: ProtocolOption = "trapezoid_2hz", library: LibraryOption = "porcine", touch: TouchOption = True,
-        seed: SeedOption = 0, out: OutOption = FOLDER, jobs: JobsOption = None, as_json: JsonOption = False,
-    ) -> None:  # fmt: skip
+        grasps: GraspsOption = study.usual,
+        noise_mv: NoiseOption = 2.0,
+        spread: SpreadOption = 1.0,
+        protocol: ProtocolOption = "trapezoid_2hz",
+        library: LibraryOption = "porcine",
+        touch: TouchOption = True,
+        seed: SeedOption = 0,
+        out: OutOption = FOLDER,
+        jobs: JobsOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
         _show(_run(study, _bench(protocol, library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json)
 
     return command
@@ -86,10 +103,16 @@ def _without_thickness(study: StudyEntry) -> Callable[..., None]:
 
 def _without_protocol(study: StudyEntry) -> Callable[..., None]:
     def command(
-        grasps: GraspsOption = study.usual, noise_mv: NoiseOption = 2.0, spread: SpreadOption = 1.0,
-        library: LibraryOption = "porcine", touch: TouchOption = True, seed: SeedOption = 0, out: OutOption = FOLDER,
-        jobs: JobsOption = None, as_json: JsonOption = False,
-    ) -> None:  # fmt: skip
+        grasps: GraspsOption = study.usual,
+        noise_mv: NoiseOption = 2.0,
+        spread: SpreadOption = 1.0,
+        library: LibraryOption = "porcine",
+        touch: TouchOption = True,
+        seed: SeedOption = 0,
+        out: OutOption = FOLDER,
+        jobs: JobsOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
         _show(_run(study, _bench("trapezoid_2hz", library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json)
 
     return command

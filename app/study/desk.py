@@ -87,9 +87,20 @@ class StudyDesk:
         now = datetime.now(UTC)
         study_id = self._new_folder(f"{now:%Y%m%d-%H%M%S}-{entry.name}")
         run = StudyRun(
-            id=study_id, study=entry.name, title=entry.title, grasps=grasps, seed=seed, by=by,
-            state=StudyState.RUNNING, done=0, of=None, started_at=now.isoformat(), ended_at=None, why=None, report=None,
-        )  # fmt: skip
+            id=study_id,
+            study=entry.name,
+            title=entry.title,
+            grasps=grasps,
+            seed=seed,
+            by=by,
+            state=StudyState.RUNNING,
+            done=0,
+            of=None,
+            started_at=now.isoformat(),
+            ended_at=None,
+            why=None,
+            report=None,
+        )
         try:
             _write_record(self.folder, run)
         except OSError:

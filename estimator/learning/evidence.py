@@ -6,13 +6,7 @@ import numpy as np
 
 from config.schema import Identification, TissueLibrary, Tool
 from estimator.learning.between import Recorded, between_covariance
-from estimator.learning.constants import (
-    FIRST_SCALE,
-    FREEDOM,
-    REMEMBERED,
-    UNKNOWN_FREEDOM,
-    UNKNOWN_SCALE,
-)
+from estimator.learning.constants import FIRST_SCALE, FREEDOM, REMEMBERED, UNKNOWN_FREEDOM, UNKNOWN_SCALE
 from estimator.learning.loading import Loading, Seen
 
 Gaussian = tuple[np.ndarray, np.ndarray]  # mean (F,), covariance (F, F)

@@ -8,12 +8,7 @@ import numpy as np
 from config.errors import ConfigurationError
 from config.schema import Learned, LearnedRecording, LearnedTissue, Spread, TissueLibrary, TissueProfile, Tool
 from estimator.learning.between import session_scale
-from estimator.learning.constants import (
-    BETWEEN_SD,
-    FEATURES,
-    PARAMETER_FLOOR_LOG_SD,
-    WITHIN_FLOOR_SHARE,
-)
+from estimator.learning.constants import BETWEEN_SD, FEATURES, PARAMETER_FLOOR_LOG_SD, WITHIN_FLOOR_SHARE
 from estimator.learning.grasps import Curves
 from estimator.learning.scatter import robust_scatter, shrunk_scatter
 
@@ -63,11 +58,16 @@ def fit(
         jaw_area_m2=base.jaw_area_m2,
         spread=base.spread,
         learned=Learned(
-            date=date, base=base_name, tool=tool.name, calibration=tool.calibration_fingerprint, features=FEATURES,
-            usual_peak_v=peak_v, session_scale=_rounded(session_scale(tissue, ramp, centre)),
+            date=date,
+            base=base_name,
+            tool=tool.name,
+            calibration=tool.calibration_fingerprint,
+            features=FEATURES,
+            usual_peak_v=peak_v,
+            session_scale=_rounded(session_scale(tissue, ramp, centre)),
         ),
         tissues=tissues,
-    )  # fmt: skip
+    )
 
 
 def base_tissue(label: str, base: TissueLibrary) -> str | None:
@@ -138,19 +138,24 @@ def _profile(
         thickness_m=_rounded(math.exp(log_thickness)) if learned.contact_measured else like.thickness_m,
         threshold_pa=like.threshold_pa,
         spread=Spread(
-            log_alpha=_rounded(sd[0]), log_beta=_rounded(sd[1]), log_damping=_rounded(sd[2]),
+            log_alpha=_rounded(sd[0]),
+            log_beta=_rounded(sd[1]),
+            log_damping=_rounded(sd[2]),
             log_thickness=_rounded(log_thickness_sd),
         ),
         learned=learned,
-    )  # fmt: skip
+    )
 
 
 def _recording(curves: Curves, centre: np.ndarray) -> LearnedRecording:
     return LearnedRecording(
-        file=curves.recording.file, sha256=curves.recording.sha256, grasps=len(curves.features),
-        left_out=tuple(curves.left_out), ramp_v_per_s=_rounded(math.exp(curves.ramp_log)),
+        file=curves.recording.file,
+        sha256=curves.recording.sha256,
+        grasps=len(curves.features),
+        left_out=tuple(curves.left_out),
+        ramp_v_per_s=_rounded(math.exp(curves.ramp_log)),
         centre=tuple(_rounded(value) for value in centre),
-    )  # fmt: skip
+    )
 
 
 def _source(curves: Sequence[Curves], base_name: str, base: TissueLibrary, lowest: list[str]) -> str:

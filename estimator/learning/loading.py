@@ -53,9 +53,14 @@ class Loading:
     """Follows one grasp from where the command leaves zero."""
 
     def __init__(
-        self, stretch_deg_per_volt: float, peak_v: float, dt_s: float, shut_before_deg: float | None = None,
-        *, first: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        stretch_deg_per_volt: float,
+        peak_v: float,
+        dt_s: float,
+        shut_before_deg: float | None = None,
+        *,
+        first: bool = False,
+    ) -> None:
         """Start at a grasp's first sample.
 
         Args:

@@ -82,9 +82,14 @@ def _loading(samples: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarra
 
 
 def _residual(
-    at: np.ndarray, force_n: np.ndarray, x_m: np.ndarray, velocity: np.ndarray, sd_n: float, guess: np.ndarray,
+    at: np.ndarray,
+    force_n: np.ndarray,
+    x_m: np.ndarray,
+    velocity: np.ndarray,
+    sd_n: float,
+    guess: np.ndarray,
     prior: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Residuals of force and prior in standard deviations, (n + 3,), and their slopes, (n + 3, 3)."""
     alpha, beta, d = np.exp(at)
     exponent = np.minimum(beta * x_m, EXPONENT_LIMIT)

@@ -134,9 +134,13 @@ class _Asker:
         label = UNDECIDED if grasp.fault() and decision.label != UNKNOWN else decision.label
         at = self._names.index(truth)
         return Answer(
-            question, recording.file, grasp.index, truth, label,
+            question,
+            recording.file,
+            grasp.index,
+            truth,
+            label,
             None if label == UNDECIDED else (decision.decided_tick - start) / self._rate_hz,
             dict(zip(self._names, map(float, probabilities), strict=True)),
             tuple(float(each[at]) for each in course),
             tuple(self._names[int(each.argmax())] for each in course),
-        )  # fmt: skip
+        )

@@ -39,9 +39,13 @@ class PrintedBank:
     """One of the paper's filters for each guess, on the same force and displacement."""
 
     def __init__(
-        self, guess: np.ndarray, mass_kg: float, dt_s: float, noise: PrintedNoise,
+        self,
+        guess: np.ndarray,
+        mass_kg: float,
+        dt_s: float,
+        noise: PrintedNoise,
         guess_share_sd: np.ndarray = GUESS_SHARE_SD,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`guess`: alpha N, beta 1/m, d kg/s of each filter, (K, 3); `guess_share_sd`: how far off, as a share."""
         self._guess, self._mass_kg, self._dt_s, self._noise = np.asarray(guess, float), mass_kg, dt_s, noise
         self._guess_share_sd = guess_share_sd
@@ -63,15 +67,39 @@ class PrintedBank:
         means = np.empty((len(force_n), len(self._guess), STATES))
         walk_var = np.square(WALK_SHARE * self._guess) * self._dt_s
         _advance(
-            force_n, displacement_m, self._before_n, self._mass_kg, self._dt_s, self._noise.force_sd_n**2,
-            self._noise.displacement_sd_m**2, walk_var, self.mean, self.cov, self.log_likelihood, self.valid, means,
-        )  # fmt: skip
+            force_n,
+            displacement_m,
+            self._before_n,
+            self._mass_kg,
+            self._dt_s,
+            self._noise.force_sd_n**2,
+            self._noise.displacement_sd_m**2,
+            walk_var,
+            self.mean,
+            self.cov,
+            self.log_likelihood,
+            self.valid,
+            means,
+        )
         return means, force_curve(means[:, :, ALPHA], means[:, :, BETA], means[:, :, X])
 
 
 @compiled
-def _advance(force_n, displacement_m, before_n, mass_kg, dt_s, force_var, displacement_var, walk_var, mean, cov,
-             log_likelihood, valid, means):  # fmt: skip
+def _advance(
+    force_n,
+    displacement_m,
+    before_n,
+    mass_kg,
+    dt_s,
+    force_var,
+    displacement_var,
+    walk_var,
+    mean,
+    cov,
+    log_likelihood,
+    valid,
+    means,
+):
     step, transition = np.empty((2, 4)), np.eye(STATES)
     for i in range(len(force_n)):
         for k in range(len(mean)):

@@ -58,8 +58,17 @@ def estimators(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: i
     for e, name in enumerate(MAKERS):
         for i, at in enumerate(TIMES_S):
             found = score(answers[:, e, i], truth)
-            rows.append([f"{name}, {at:g} s", found.accuracy, limit, found.calibration_error, found.confident_wrong,
-                         found.log_loss, float(cost[e])])  # fmt: skip
+            rows.append(
+                [
+                    f"{name}, {at:g} s",
+                    found.accuracy,
+                    limit,
+                    found.calibration_error,
+                    found.confident_wrong,
+                    found.log_loss,
+                    float(cost[e]),
+                ]
+            )
     last = [score(answers[:, e, -1], truth) for e in range(len(MAKERS))]
     best = min(range(len(MAKERS)), key=lambda e: last[e].log_loss)
     study.figures = [
@@ -70,19 +79,34 @@ def estimators(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: i
         ),
         Figure("lowest log loss at 0.3 s", last[best].log_loss, "", note=[*MAKERS][best]),
     ]
-    columns = ["estimator, after contact", "share right", "Bayes limit", "calibration error", "confident and wrong",
-               "log loss", "µs a sample"]  # fmt: skip
+    columns = [
+        "estimator, after contact",
+        "share right",
+        "Bayes limit",
+        "calibration error",
+        "confident and wrong",
+        "log loss",
+        "µs a sample",
+    ]
     error_rows = []
     for e, name in enumerate(MAKERS):
         errors = np.array([o.error[e] for o in outcomes])
-        error_rows.append([name, *(float(v) for v in np.nanmedian(np.abs(np.expm1(errors)), axis=0) * 100),
-                           100 * float(np.isnan(errors).any(axis=1).mean())])  # fmt: skip
+        error_rows.append(
+            [
+                name,
+                *(float(v) for v in np.nanmedian(np.abs(np.expm1(errors)), axis=0) * 100),
+                100 * float(np.isnan(errors).any(axis=1).mean()),
+            ]
+        )
     study.parts = [
         Table("Share right, honesty and cost", columns, rows),
-        Table("Median error of the likeliest filter's parameters at 0.3 s, %",
-              ["estimator", "alpha", "beta", "d", "without an estimate"], error_rows),
+        Table(
+            "Median error of the likeliest filter's parameters at 0.3 s, %",
+            ["estimator", "alpha", "beta", "d", "without an estimate"],
+            error_rows,
+        ),
         ("Reliability at 0.3 s", _reliability(answers[:, :, -1], truth)),
-    ]  # fmt: skip
+    ]
     return study
 
 
@@ -129,7 +153,13 @@ def _reliability(answers: np.ndarray, truth: np.ndarray) -> go.Figure:
     for e, name in enumerate(MAKERS):
         confidence, right = answers[:, e].max(axis=1), answers[:, e].argmax(axis=1) == truth
         mean, share, number = reliability(confidence, right)
-        figure.add_scatter(x=mean, y=share, text=[f"{n} grasps" for n in number], name=name, mode="lines+markers",
-                           line={"color": PALETTE[e]})  # fmt: skip
+        figure.add_scatter(
+            x=mean,
+            y=share,
+            text=[f"{n} grasps" for n in number],
+            name=name,
+            mode="lines+markers",
+            line={"color": PALETTE[e]},
+        )
     figure.update_layout(xaxis_title="confidence", yaxis_title="share right", yaxis_range=[0, 1.02])
     return figure

@@ -169,13 +169,30 @@ def _accuracies(outcomes: list[_Outcome], ours: dict, truth: np.ndarray, limit: 
         plain = score(np.array([o.plain[i] for o in outcomes]), truth)
         by_criteria = float((np.array([o.criteria[i] for o in outcomes]) == truth).mean())
         found = ours[time]
-        rows.append([
-            f"{time:g} s", found.accuracy, limit, plain.accuracy, by_criteria, found.calibration_error,
-            plain.calibration_error, found.confident_wrong, plain.confident_wrong,
-        ])  # fmt: skip
-    columns = ["after contact", OURS, "Bayes limit", PLAIN, CRITERIA, f"calibration error, {OURS}",
-               f"calibration error, {PLAIN}", f"confident and wrong, {OURS}",
-               f"confident and wrong, {PLAIN}"]  # fmt: skip
+        rows.append(
+            [
+                f"{time:g} s",
+                found.accuracy,
+                limit,
+                plain.accuracy,
+                by_criteria,
+                found.calibration_error,
+                plain.calibration_error,
+                found.confident_wrong,
+                plain.confident_wrong,
+            ]
+        )
+    columns = [
+        "after contact",
+        OURS,
+        "Bayes limit",
+        PLAIN,
+        CRITERIA,
+        f"calibration error, {OURS}",
+        f"calibration error, {PLAIN}",
+        f"confident and wrong, {OURS}",
+        f"confident and wrong, {PLAIN}",
+    ]
     return Table("Share right, and how honest", columns, rows)
 
 
@@ -234,8 +251,14 @@ def _reliability(outcomes: list[_Outcome], truth: np.ndarray) -> go.Figure:
         (PLAIN, np.array([o.plain[last] for o in outcomes]), PALETTE[1]),
     ):
         mean, share, number = reliability(probabilities.max(axis=1), probabilities.argmax(axis=1) == truth)
-        figure.add_scatter(x=mean, y=share, text=[f"{n} grasps" for n in number], mode="lines+markers", name=name,
-                           line={"color": color})  # fmt: skip
+        figure.add_scatter(
+            x=mean,
+            y=share,
+            text=[f"{n} grasps" for n in number],
+            mode="lines+markers",
+            name=name,
+            line={"color": color},
+        )
     figure.update_layout(xaxis_title="confidence", yaxis_title="share right", yaxis_range=[0, 1.02])
     return figure
 

@@ -83,9 +83,9 @@ def _convergence(job: _Job) -> np.ndarray:
     lab = set_up(job.bench)
     samples = held_samples(simulate(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, job.case))
     profile = lab.library.tissues[job.case.tissue]
-    guess = np.array([
-        profile.alpha_n * job.alpha_factor, profile.beta_per_m * job.beta_factor, profile.damping_kg_per_s
-    ])  # fmt: skip
+    guess = np.array(
+        [profile.alpha_n * job.alpha_factor, profile.beta_per_m * job.beta_factor, profile.damping_kg_per_s]
+    )
     bound_n = lab.settings.identification.convergence_error * float(samples["jaw_force_filtered_n"].max())
     rate_hz = lab.tool.board.sample_rate_hz
     until = int(np.argmax(samples["jaw_force_filtered_n"])) + 1
@@ -134,6 +134,7 @@ def _map(shares: np.ndarray) -> go.Figure:
             z=100 * shares, x=labels, y=labels, zmin=0, zmax=100, colorscale="Cividis", texttemplate="%{z:.0f} %"
         )
     )
-    figure.update_layout(xaxis_title="beta times", yaxis_title="alpha times", xaxis_type="category",
-                         yaxis_type="category")  # fmt: skip
+    figure.update_layout(
+        xaxis_title="beta times", yaxis_title="alpha times", xaxis_type="category", yaxis_type="category"
+    )
     return figure

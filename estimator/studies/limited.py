@@ -71,9 +71,13 @@ class Played:
 def protocol_of(case: LimitedCase, tool: Tool) -> Protocol:
     peak_v = float(tool.command_to_force.command(case.wanted_n))
     waveform = Trapezoid(
-        shape="trapezoid", peak_v=peak_v, ramp_up_s=peak_v / case.rise_v_per_s, hold_s=HOLD_S,
-        ramp_down_s=RAMP_DOWN_S, rest_s=REST_S,
-    )  # fmt: skip
+        shape="trapezoid",
+        peak_v=peak_v,
+        ramp_up_s=peak_v / case.rise_v_per_s,
+        hold_s=HOLD_S,
+        ramp_down_s=RAMP_DOWN_S,
+        rest_s=REST_S,
+    )
     return Protocol(name="limited", title="Limited", lead_in_s=LEAD_IN_S, waveform=waveform)
 
 

@@ -88,7 +88,10 @@ def _draw(library: TissueLibrary, tool: Tool, tissue: str, told: Told, seed: int
     rise_v_per_s = min(float(np.exp(rng.uniform(np.log(SLOWEST_V_PER_S), np.log(fastest_v_per_s)))), fastest_v_per_s)
     ramp_s = float(tool.command_to_force.command(wanted_n)) / rise_v_per_s
     return LimitedCase(
-        tissue, seed * 1_000_000 + number, told, _told_tissue(library, tissue, told, rng),
+        tissue,
+        seed * 1_000_000 + number,
+        told,
+        _told_tissue(library, tissue, told, rng),
         turn_s=float(rng.uniform(0.0, ramp_s + HOLD_S - 3 * FOLLOW_S)),
         wanted_n=wanted_n,
         rise_v_per_s=rise_v_per_s,
@@ -100,7 +103,7 @@ def _draw(library: TissueLibrary, tool: Tool, tissue: str, told: Told, seed: int
             friction_share=float(rng.uniform(0.0, MOST_FRICTION)),
             backlash_m=float(rng.uniform(0.0, MOST_BACKLASH_M)),
         ),
-    )  # fmt: skip
+    )
 
 
 def _told_tissue(library: TissueLibrary, tissue: str, told: Told, rng: np.random.Generator) -> str:

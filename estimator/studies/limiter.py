@@ -50,14 +50,22 @@ def limiter(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int 
     study.parts = [
         _by("What the limiter is told", own, [told.value for told in Told], lambda o: o.case.told.value),
         _by("Tissue", own, [*lab.library.tissues], lambda o: o.case.tissue),
-        _by("Strength of the tool, times its map", own, [_band(low) for low, _ in STRENGTH_BANDS],
-            lambda o: next(_band(low) for low, high in STRENGTH_BANDS if low <= o.case.strength < high)),
-        _by("Ramp", own, ["slower than 20 V/s", "faster"],
-            lambda o: "faster" if o.case.rise_v_per_s >= FAST_V_PER_S else "slower than 20 V/s"),
+        _by(
+            "Strength of the tool, times its map",
+            own,
+            [_band(low) for low, _ in STRENGTH_BANDS],
+            lambda o: next(_band(low) for low, high in STRENGTH_BANDS if low <= o.case.strength < high),
+        ),
+        _by(
+            "Ramp",
+            own,
+            ["slower than 20 V/s", "faster"],
+            lambda o: "faster" if o.case.rise_v_per_s >= FAST_V_PER_S else "slower than 20 V/s",
+        ),
         _beyond_table(beyond_them),
         ("Highest force, as a share of the limit in force", _peaks_figure(own)),
         ("A liver that is named, until the estimator dies", _course_figure(lab)),
-    ]  # fmt: skip
+    ]
     return study
 
 
@@ -82,34 +90,65 @@ def _figures(outcomes: list[Outcome]) -> list[Figure]:
         Figure("furthest over it", _furthest(o.peak for o in outcomes), "%", at_most=FURTHEST_OVER),
         Figure("without the limiter: over it", _share(o.peak_without > 1 for o in outcomes), "%"),
         Figure("without the limiter: furthest over it", _furthest(o.peak_without for o in outcomes), "%"),
-        Figure("hold at least 60 % of the allowed force", _share(o.held >= HOLDS for o in touched), "%",
-               at_least=LEAST_HELD),
-        Figure("allowed force that is held, median of those held back",
-               _middle(100 * o.held for o in touched if o.held_back), "%"),
+        Figure(
+            "hold at least 60 % of the allowed force",
+            _share(o.held >= HOLDS for o in touched),
+            "%",
+            at_least=LEAST_HELD,
+        ),
+        Figure(
+            "allowed force that is held, median of those held back",
+            _middle(100 * o.held for o in touched if o.held_back),
+            "%",
+        ),
         Figure("allowed force that is held, least", 100 * min((o.held for o in touched), default=0.0), "%"),
         Figure("overshoot over what is held, median", _middle(_known(o.overshoot for o in outcomes), 100), "%"),
-        Figure("overshoot over what is held, 99 in 100 below",
-               _middle(_known(o.overshoot for o in outcomes), 100, 0.99), "%"),
+        Figure(
+            "overshoot over what is held, 99 in 100 below",
+            _middle(_known(o.overshoot for o in outcomes), 100, 0.99),
+            "%",
+        ),
         Figure("settling time since contact, median", _middle(_known(o.settled_s for o in outcomes), 1e3), "ms"),
-        Figure("settling time since contact, fast ramps, median",
-               _middle(_known(o.settled_s for o in outcomes if o.case.rise_v_per_s >= FAST_V_PER_S), 1e3), "ms"),
+        Figure(
+            "settling time since contact, fast ramps, median",
+            _middle(_known(o.settled_s for o in outcomes if o.case.rise_v_per_s >= FAST_V_PER_S), 1e3),
+            "ms",
+        ),
         Figure("command reversals a second while held", float(np.mean([o.reversals_per_s for o in outcomes])), ""),
-        Figure("over a limit that fell, 99 in 100 shorter",
-               _middle(_known(o.over_fallen_s for o in outcomes), 1e3, 0.99), "ms"),
+        Figure(
+            "over a limit that fell, 99 in 100 shorter",
+            _middle(_known(o.over_fallen_s for o in outcomes), 1e3, 0.99),
+            "ms",
+        ),
         Figure("let go", _share(o.let_go for o in outcomes), "%"),
         Figure("ended as a fault: sound sensors taken for lost", _share(bool(o.fault) for o in outcomes), "%"),
-        Figure("over the held tissue's own threshold", _share(o.injures for o in outcomes), "%",
-               note="only where another tissue's threshold is told"),
-        Figure("without the limiter: over the held tissue's own threshold",
-               _share(o.injures_without for o in outcomes), "%"),
-    ]  # fmt: skip
+        Figure(
+            "over the held tissue's own threshold",
+            _share(o.injures for o in outcomes),
+            "%",
+            note="only where another tissue's threshold is told",
+        ),
+        Figure(
+            "without the limiter: over the held tissue's own threshold",
+            _share(o.injures_without for o in outcomes),
+            "%",
+        ),
+    ]
 
 
 def _by(title: str, outcomes: list[Outcome], kinds: list[str], kind_of: Callable[[Outcome], str]) -> Table:
     columns = [
-        title, "grasps", "over the limit, %", "furthest, %", "without, %", "furthest, %", "over the own threshold, %",
-        "without, %", "hold 60 %, %", "median held, %",
-    ]  # fmt: skip
+        title,
+        "grasps",
+        "over the limit, %",
+        "furthest, %",
+        "without, %",
+        "furthest, %",
+        "over the own threshold, %",
+        "without, %",
+        "hold 60 %, %",
+        "median held, %",
+    ]
     rows = [[kind, *_row([o for o in outcomes if kind_of(o) == kind])] for kind in kinds]
     return Table(title, columns, rows)
 
@@ -119,28 +158,41 @@ def _row(those: list[Outcome]) -> list[float | int | None]:
         return [0, *[None] * 8]
     return [
         len(those),
-        _share(o.peak > 1 for o in those), _furthest(o.peak for o in those),
-        _share(o.peak_without > 1 for o in those), _furthest(o.peak_without for o in those),
-        _share(o.injures for o in those), _share(o.injures_without for o in those),
+        _share(o.peak > 1 for o in those),
+        _furthest(o.peak for o in those),
+        _share(o.peak_without > 1 for o in those),
+        _furthest(o.peak_without for o in those),
+        _share(o.injures for o in those),
+        _share(o.injures_without for o in those),
         _share(o.held >= HOLDS for o in those if o.touched),
         _middle(100 * o.held for o in those if o.touched and o.held_back),
-    ]  # fmt: skip
+    ]
 
 
 def _beyond_table(outcomes: dict[str, list[Outcome]]) -> Table:
     columns = [
-        "beyond", "first grasp over the limit, %", "furthest, %", "let go, %", "later ones over it, %", "furthest, %",
-        "let go, %", "hold 60 %, %",
-    ]  # fmt: skip
+        "beyond",
+        "first grasp over the limit, %",
+        "furthest, %",
+        "let go, %",
+        "later ones over it, %",
+        "furthest, %",
+        "let go, %",
+        "hold 60 %, %",
+    ]
     rows = [
         [
             kind,
-            _share(o.peak > 1 for o in those), _furthest(o.peak for o in those), _share(o.let_go for o in those),
-            _share(o.peak_later > 1 for o in those), _furthest(o.peak_later for o in those),
-            _share(o.let_go_later for o in those), _share(o.held >= HOLDS for o in those if o.touched),
+            _share(o.peak > 1 for o in those),
+            _furthest(o.peak for o in those),
+            _share(o.let_go for o in those),
+            _share(o.peak_later > 1 for o in those),
+            _furthest(o.peak_later for o in those),
+            _share(o.let_go_later for o in those),
+            _share(o.held >= HOLDS for o in those if o.touched),
         ]
         for kind, those in outcomes.items()
-    ]  # fmt: skip
+    ]
     note = "Two grasps in a row on fast ramps, another tissue's threshold told; all else as above but the strength."
     return Table("Beyond what a limiter can know", columns, rows, note)
 

@@ -45,13 +45,23 @@ def mismatch(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int
     study.figures = [
         Figure("share right, matched", 100 * matched, "%"),
         Figure("furthest behind the matched case", behind[worst], "points", at_most=MOST_POINTS, note=worst),
-        Figure("largest expected calibration error", scores[dishonest].calibration_error,
-               at_most=MOST_CALIBRATION_ERROR, note=dishonest),
-        *(Figure(f"behind the matched case: {kind}", points, "points", at_most=MOST_POINTS)
-          for kind, points in behind.items()),
-        *(Figure(f"expected calibration error: {kind}", scores[kind].calibration_error,
-                 at_most=MOST_CALIBRATION_ERROR) for kind in behind),
-    ]  # fmt: skip
+        Figure(
+            "largest expected calibration error",
+            scores[dishonest].calibration_error,
+            at_most=MOST_CALIBRATION_ERROR,
+            note=dishonest,
+        ),
+        *(
+            Figure(f"behind the matched case: {kind}", points, "points", at_most=MOST_POINTS)
+            for kind, points in behind.items()
+        ),
+        *(
+            Figure(
+                f"expected calibration error: {kind}", scores[kind].calibration_error, at_most=MOST_CALIBRATION_ERROR
+            )
+            for kind in behind
+        ),
+    ]
     columns = ["truth", "share right", "calibration error", "confident and wrong", "confident", "log loss"]
     rows = [[kind, *_row(found)] for kind, found in scores.items()]
     study.parts = [
@@ -74,9 +84,15 @@ def _row(found: Score) -> list[float]:
 def _bars(scores: dict[str, Score]) -> go.Figure:
     figure = go.Figure()
     kinds = [*scores]
-    figure.add_bar(y=kinds, x=[s.accuracy for s in scores.values()], orientation="h", name="share right",
-                   marker_color=PALETTE[0])  # fmt: skip
-    figure.add_bar(y=kinds, x=[s.calibration_error for s in scores.values()], orientation="h",
-                   name="expected calibration error", marker_color=PALETTE[1])  # fmt: skip
+    figure.add_bar(
+        y=kinds, x=[s.accuracy for s in scores.values()], orientation="h", name="share right", marker_color=PALETTE[0]
+    )
+    figure.add_bar(
+        y=kinds,
+        x=[s.calibration_error for s in scores.values()],
+        orientation="h",
+        name="expected calibration error",
+        marker_color=PALETTE[1],
+    )
     figure.update_layout(barmode="group", yaxis={"autorange": "reversed"}, height=700)
     return figure

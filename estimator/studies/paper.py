@@ -77,9 +77,13 @@ def paper(seeds: int, seed: int, progress: Progress, jobs: int | None = None) ->
     )
     study.figures = _figures(library, by_tissue)
     study.parts = [
-        _table_3(library, by_tissue), _bounds(library, by_tissue), _table_4(library, by_tissue),
-        *_table_5(library, by_tissue), _figure_4(library, seed), _figure_5(library, by_tissue),
-    ]  # fmt: skip
+        _table_3(library, by_tissue),
+        _bounds(library, by_tissue),
+        _table_4(library, by_tissue),
+        *_table_5(library, by_tissue),
+        _figure_4(library, seed),
+        _figure_5(library, by_tissue),
+    ]
     return study
 
 
@@ -100,8 +104,11 @@ def _outcome(case: tuple[str, int]) -> _Outcome:
     truth_n = force_curve(profile.alpha_n, profile.beta_per_m, run.exact_displacement_m)
     blind_s, blind_n, probabilities = _blind(library, run)
     return _Outcome(
-        names.index(name), refined[:3], mean[-1, 0, PARAMETERS],
-        question.gradient(np.append(log_of(profile), np.log(library.mass_kg)))[1], printed[-1, 0, ALPHA:],
+        names.index(name),
+        refined[:3],
+        mean[-1, 0, PARAMETERS],
+        question.gradient(np.append(log_of(profile), np.log(library.mass_kg)))[1],
+        printed[-1, 0, ALPHA:],
         (
             convergence_s(elastic_n, run.force_n[1:], run.bound_n),
             convergence_s(printed_n[:, 0], printed_force_n, run.bound_n),
@@ -109,8 +116,10 @@ def _outcome(case: tuple[str, int]) -> _Outcome:
             convergence_s(truth_n, run.exact_force_n, run.bound_n),
         ),
         (float(np.nanmean(elastic_n - run.force_n[1:])), float(np.nanmean(printed_n[:, 0] - printed_force_n))),
-        blind_s, blind_n, probabilities,
-    )  # fmt: skip
+        blind_s,
+        blind_n,
+        probabilities,
+    )
 
 
 def _elastic(mean: np.ndarray) -> np.ndarray:
@@ -130,10 +139,12 @@ def _blind(library: TissueLibrary, run: Run) -> tuple[np.ndarray, np.ndarray, np
     _, printed_n, printed_force_n = printed_answer(run, guess, library.mass_kg, settings.conditioning)
     times, errors = [], []
     for k in range(len(guess)):
-        times.append([
-            convergence_s(ours_n[:, k], run.force_n[1:], run.bound_n),
-            convergence_s(printed_n[:, k], printed_force_n, run.bound_n),
-        ])  # fmt: skip
+        times.append(
+            [
+                convergence_s(ours_n[:, k], run.force_n[1:], run.bound_n),
+                convergence_s(printed_n[:, k], printed_force_n, run.bound_n),
+            ]
+        )
         errors.append([_mean(ours_n[:, k] - run.force_n[1:]), _mean(printed_n[:, k] - printed_force_n)])
     return np.array(times), np.array(errors), _named(library, run, bank)
 
@@ -169,13 +180,27 @@ def _figures(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> list[Fi
         bounds = parameter_bound(np.mean([o.information for o in outcomes], axis=0))
         stiffness = errors[:, 0] + errors[:, 1]
         figures += [
-            Figure(f"{name}: mean error of alpha beta", 100 * abs(float(np.expm1(stiffness.mean()))), "%", at_most=1.0,
-                   note="of the mean over the seeds, as Table III prints means"),
-            Figure(f"{name}: RMS error of alpha beta", 100 * float(_rms(stiffness)), "%",
-                   note=f"its bound is {100 * bounds[3]:.2g} %"),
-            Figure(f"{name}: largest RMS error against its bound", float((_rms(errors) / bounds[:3]).max()), "times",
-                   at_most=1.5, note="of log alpha, log beta, log d"),
-        ]  # fmt: skip
+            Figure(
+                f"{name}: mean error of alpha beta",
+                100 * abs(float(np.expm1(stiffness.mean()))),
+                "%",
+                at_most=1.0,
+                note="of the mean over the seeds, as Table III prints means",
+            ),
+            Figure(
+                f"{name}: RMS error of alpha beta",
+                100 * float(_rms(stiffness)),
+                "%",
+                note=f"its bound is {100 * bounds[3]:.2g} %",
+            ),
+            Figure(
+                f"{name}: largest RMS error against its bound",
+                float((_rms(errors) / bounds[:3]).max()),
+                "times",
+                at_most=1.5,
+                note="of log alpha, log beta, log d",
+            ),
+        ]
     for k, name in enumerate(library.tissues):
         truth_converges = np.isfinite(by_tissue[k][0].convergence_s[3])
         times = [o.convergence_s[0 if truth_converges else 2] for o in by_tissue[k]]
@@ -183,12 +208,12 @@ def _figures(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> list[Fi
             "" if truth_converges else "with the damping force: the elastic force of the truth itself never converges"
         )
         figures.append(Figure(f"{name}: mean convergence", float(np.mean(times)), "s", at_most=0.10, note=note))
-    named = [int(o.probabilities.argmax() == o.tissue and o.probabilities.max() >= 0.95)
-             for outcomes in by_tissue for o in outcomes]  # fmt: skip
-    return [
-        *figures,
-        Figure("named blind with 0.95 at the end", 100 * float(np.mean(named)), "%", at_least=100.0),
+    named = [
+        int(o.probabilities.argmax() == o.tissue and o.probabilities.max() >= 0.95)
+        for outcomes in by_tissue
+        for o in outcomes
     ]
+    return [*figures, Figure("named blind with 0.95 at the end", 100 * float(np.mean(named)), "%", at_least=100.0)]
 
 
 def _table_3(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> Table:
@@ -224,8 +249,17 @@ def _table_4(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> Table:
         times = np.array([o.convergence_s for o in by_tissue[k]])
         errors = np.array([o.error_n for o in by_tissue[k]])
         rows.append([name, TABLE_4_S[k], *map(_mean_or_none, times.T), TABLE_4_N[k], *map(_mean_or_none, errors.T)])
-    columns = ["tissue", "convergence printed, s", "ours, s", "paper's scheme, s", "ours with damping, s",
-               "the truth's own, s", "mean force error printed, N", "ours, N", "paper's scheme, N"]  # fmt: skip
+    columns = [
+        "tissue",
+        "convergence printed, s",
+        "ours, s",
+        "paper's scheme, s",
+        "ours with damping, s",
+        "the truth's own, s",
+        "mean force error printed, N",
+        "ours, N",
+        "paper's scheme, N",
+    ]
     return Table("Table IV: verification; – where it does not converge in a seed", columns, rows)
 
 
@@ -239,21 +273,43 @@ def _table_5(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> list[Ta
     errors = np.array([[o.blind_n for o in outcomes] for outcomes in by_tissue])
     rows, error_rows = [], []
     for g, guess in enumerate(names):
-        rows.append([guess, *(cell for k in range(len(names)) for cell in (
-            TABLE_5_S[g][k], _mean_or_none(times[k, :, g, 0]), _mean_or_none(times[k, :, g, 1])))])  # fmt: skip
-        error_rows.append([guess, *(cell for k in range(len(names)) for cell in (
-            _mean_or_none(errors[k, :, g, 0]), _mean_or_none(errors[k, :, g, 1])))])  # fmt: skip
+        rows.append(
+            [
+                guess,
+                *(
+                    cell
+                    for k in range(len(names))
+                    for cell in (TABLE_5_S[g][k], _mean_or_none(times[k, :, g, 0]), _mean_or_none(times[k, :, g, 1]))
+                ),
+            ]
+        )
+        error_rows.append(
+            [
+                guess,
+                *(
+                    cell
+                    for k in range(len(names))
+                    for cell in (_mean_or_none(errors[k, :, g, 0]), _mean_or_none(errors[k, :, g, 1]))
+                ),
+            ]
+        )
     named = [
         [name, *map(float, np.mean([o.probabilities for o in by_tissue[k]], axis=0))] for k, name in enumerate(names)
     ]
     head = ["guess (rows), grasped (columns)"]
     return [
-        Table("Table V: convergence from every guess, s: printed, ours, the paper's scheme",
-              head + [f"{name}, {who}" for name in names for who in ("printed", "ours", "paper's scheme")], rows),
-        Table("Table V: mean force error, N: ours, the paper's scheme; – where a filter diverged",
-              head + [f"{name}, {who}" for name in names for who in ("ours", "paper's scheme")], error_rows),
+        Table(
+            "Table V: convergence from every guess, s: printed, ours, the paper's scheme",
+            head + [f"{name}, {who}" for name in names for who in ("printed", "ours", "paper's scheme")],
+            rows,
+        ),
+        Table(
+            "Table V: mean force error, N: ours, the paper's scheme; – where a filter diverged",
+            head + [f"{name}, {who}" for name in names for who in ("ours", "paper's scheme")],
+            error_rows,
+        ),
         Table("Named blind: mean probabilities at the end", ["grasped (rows)", *names, "unknown"], named),
-    ]  # fmt: skip
+    ]
 
 
 def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
@@ -266,8 +322,9 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
     bank.start(contact)
     mean, _ = bank.advance(samples)
     printed, printed_n, its_force_n = printed_answer(run, guess[None], library.mass_kg, settings.conditioning)
-    figure = go.Figure().set_subplots(2, 3, subplot_titles=(
-        "alpha, N", "beta, 1/m", "d, kg/s", "x, m", "force, N", "force error, N"))  # fmt: skip
+    figure = go.Figure().set_subplots(
+        2, 3, subplot_titles=("alpha, N", "beta, 1/m", "d, kg/s", "x, m", "force, N", "force error, N")
+    )
     thin = slice(None, None, 5)
     time_s = np.arange(1, len(mean) + 1)[thin] / RATE_HZ
     ours, theirs = np.exp(mean[:, 0, PARAMETERS]), printed[:, 0, [ALPHA, BETA, DAMPING]]
@@ -275,11 +332,22 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
 
     def draw(row: int, column: int, mine: np.ndarray, paper_s: np.ndarray | None, exact: np.ndarray) -> None:
         first = row == column == 1
-        for label, values, color in (("expected", exact, "#999999"), ("paper's scheme", paper_s, "#d55e00"),
-                                     ("ours", mine, "#0072b2")):  # fmt: skip
+        for label, values, color in (
+            ("expected", exact, "#999999"),
+            ("paper's scheme", paper_s, "#d55e00"),
+            ("ours", mine, "#0072b2"),
+        ):
             if values is not None:
-                figure.add_scatter(x=time_s, y=values[thin], name=label, legendgroup=label, showlegend=first, row=row,
-                                   col=column, line={"color": color, "width": 1.5})  # fmt: skip
+                figure.add_scatter(
+                    x=time_s,
+                    y=values[thin],
+                    name=label,
+                    legendgroup=label,
+                    showlegend=first,
+                    row=row,
+                    col=column,
+                    line={"color": color, "width": 1.5},
+                )
 
     for j in range(3):
         draw(1, j + 1, ours[:, j], theirs[:, j], np.full(len(mean), truth[j]))
@@ -305,8 +373,12 @@ def _figure_5(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> tuple[
         ):
             alpha, beta, _ = np.exp(log_parameters)
             stress_kpa = force_curve(alpha, beta, x_m) / library.jaw_area_m2 / 1e3
-            figure.add_scatter(x=x_m / profile.thickness_m, y=stress_kpa, name=f"{name.replace('_', ' ')}, {label}",
-                               line={"color": COLOURS[name], "dash": dash})  # fmt: skip
+            figure.add_scatter(
+                x=x_m / profile.thickness_m,
+                y=stress_kpa,
+                name=f"{name.replace('_', ' ')}, {label}",
+                line={"color": COLOURS[name], "dash": dash},
+            )
     figure.update_xaxes(type="log", title="strain x / x0")
     figure.update_yaxes(title="stress, kPa")
     return "Figure 5: stress over strain; bladder as printed is strained by more than 10", figure

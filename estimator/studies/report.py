@@ -13,8 +13,12 @@ from estimator.studies.page import Markup, Table, document, paragraphs, plain, s
 
 # Okabe and Ito's palette, as on the dashboard
 COLOURS = {
-    "liver": "#d55e00", "small_bowel": "#e69f00", "bladder": "#0072b2", "gallbladder": "#009e73", "unknown": "#999999",
-}  # fmt: skip
+    "liver": "#d55e00",
+    "small_bowel": "#e69f00",
+    "bladder": "#0072b2",
+    "gallbladder": "#009e73",
+    "unknown": "#999999",
+}
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999", "#000000")
 
 

@@ -64,8 +64,11 @@ def simulate_sine(profile: TissueProfile, mass_kg: float, seed: int) -> Run:
     return Run(
         force_n + random.uniform(-width_n, width_n, len(force_n)),
         x_m + random.uniform(-width_m, width_m, len(x_m)),
-        force_n, x_m, float(width_n / np.sqrt(3)), float(width_m / np.sqrt(3)),
-    )  # fmt: skip
+        force_n,
+        x_m,
+        float(width_n / np.sqrt(3)),
+        float(width_m / np.sqrt(3)),
+    )
 
 
 def guesses(profile: TissueProfile, seed: int) -> np.ndarray:
@@ -77,9 +80,16 @@ def guesses(profile: TissueProfile, seed: int) -> np.ndarray:
 def our_noise(run: Run) -> Noise:
     """This noise as our filters are told of it: independent on force and displacement, the tissue exactly Eq. (7)."""
     return Noise(
-        strain_var=run.force_sd_n**2, force_var=1e-8, displacement_var=run.displacement_sd_m**2,
-        walk_alpha=0.0, walk_beta=0.0, walk_damping=0.0, dynamic_share=0.0, drift_rate=0.0, learns_held=1.0,
-    )  # fmt: skip
+        strain_var=run.force_sd_n**2,
+        force_var=1e-8,
+        displacement_var=run.displacement_sd_m**2,
+        walk_alpha=0.0,
+        walk_beta=0.0,
+        walk_damping=0.0,
+        dynamic_share=0.0,
+        drift_rate=0.0,
+        learns_held=1.0,
+    )
 
 
 def our_bank(priors: Priors, run: Run, widening: float = 1.0) -> Bank:

@@ -56,16 +56,24 @@ def unknown(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int 
         Figure("strangers still called unknown at its end", 100 * np.mean([a.at_end for a in strangers]), "%"),
         Figure("tissues of the library called unknown, ever", _share(known), "%", at_most=3.0),
         Figure("the same, at the grasp's end", 100 * np.mean([a.at_end for a in known]), "%", at_most=3.0),
-        Figure("strangers named as a tissue at the grasp's end",
-               100 * np.mean([a.label in library.tissues for a in strangers]), "%"),
+        Figure(
+            "strangers named as a tissue at the grasp's end",
+            100 * np.mean([a.label in library.tissues for a in strangers]),
+            "%",
+        ),
         Figure("least: share called unknown", _share(by_kind[least]), "%", note=least),
         Figure("area under the ROC curve", _area(strangers, known), ""),
-    ]  # fmt: skip
+    ]
     rows = [
-        [kind, _share(those) / 100, np.mean([a.at_end for a in those]), np.mean([a.probability for a in those]),
-         np.mean([a.label in library.tissues for a in those])]
+        [
+            kind,
+            _share(those) / 100,
+            np.mean([a.at_end for a in those]),
+            np.mean([a.probability for a in those]),
+            np.mean([a.label in library.tissues for a in those]),
+        ]
         for kind, those in [*by_kind.items(), ("the library's tissues", known)]
-    ]  # fmt: skip
+    ]
     columns = [
         "thing",
         "called unknown within the grasp",
@@ -106,6 +114,10 @@ def _roc_figure(strangers: list[_Answer], known: list[_Answer]) -> go.Figure:
     wrong, found = _roc(strangers, known)
     figure = go.Figure()
     figure.add_scatter(x=wrong, y=found, mode="lines+markers", line={"color": PALETTE[0], "shape": "hv"}, name="ours")
-    figure.update_layout(xaxis_title="library's tissues called unknown", yaxis_title="strangers called unknown",
-                         xaxis_range=[-0.01, 1], yaxis_range=[0, 1.01])  # fmt: skip
+    figure.update_layout(
+        xaxis_title="library's tissues called unknown",
+        yaxis_title="strangers called unknown",
+        xaxis_range=[-0.01, 1],
+        yaxis_range=[0, 1.01],
+    )
     return figure

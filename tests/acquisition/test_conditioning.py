@@ -46,11 +46,10 @@ def test_it_begins_steady_at_whatever_comes_first(strain_v: float, encoder_deg: 
     np.testing.assert_allclose(LowPass(Conditioning(), RATE_HZ)(values), values, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize(("frequency_hz", "gain"), [
-    (10.0, 1 / math.sqrt(2)),
-    (1.0, 1 / math.sqrt(1 + 0.1**4)),
-    (40.0, 1 / math.sqrt(1 + 4.0**4)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("frequency_hz", "gain"),
+    [(10.0, 1 / math.sqrt(2)), (1.0, 1 / math.sqrt(1 + 0.1**4)), (40.0, 1 / math.sqrt(1 + 4.0**4))],
+)
 def test_it_halves_the_power_at_10_hz_and_falls_by_the_square_beyond(frequency_hz: float, gain: float) -> None:
     time_s = np.arange(4000) / RATE_HZ
     filtered = LowPass(Conditioning(), RATE_HZ)(np.sin(2 * np.pi * frequency_hz * time_s)[None])[0]

@@ -155,11 +155,7 @@ def test_touch_sensors_that_are_not_trusted_tell_nothing() -> None:
     assert not len(where(follow(UNSENSED, pulses(2), touched=True), Flag.CONTACT))
 
 
-@given(
-    free=st.integers(10, 100),
-    newton_per_second=st.floats(1.0, 50.0),
-    offset_v=st.floats(-0.02, 0.02),
-)
+@given(free=st.integers(10, 100), newton_per_second=st.floats(1.0, 50.0), offset_v=st.floats(-0.02, 0.02))
 def test_without_a_sensor_contact_is_found_between_the_first_force_and_0_04_newton(
     free: int, newton_per_second: float, offset_v: float
 ) -> None:

@@ -158,10 +158,20 @@ def test_the_tissue_moves_as_the_differential_equation_says(tissue: str) -> None
     moved_m=st.floats(-0.1e-3, 0.1e-3),
 )
 def test_one_step_of_any_specimen_is_the_differential_equations(
-    tissue: str, spread: tuple[float, float, float], begin_n: float, end_n: float, v_m_per_s: float, mass_kg: float,
-    plateau_n: float, plateau_m: float, hunt_crossley: bool, relaxed_share: float, relaxation_s: float,
-    relaxed_n: float, moved_m: float,
-) -> None:  # fmt: skip
+    tissue: str,
+    spread: tuple[float, float, float],
+    begin_n: float,
+    end_n: float,
+    v_m_per_s: float,
+    mass_kg: float,
+    plateau_n: float,
+    plateau_m: float,
+    hunt_crossley: bool,
+    relaxed_share: float,
+    relaxation_s: float,
+    relaxed_n: float,
+    moved_m: float,
+) -> None:
     profile, sd = LIBRARY.tissues[tissue], LIBRARY.spread
     alpha_n = profile.alpha_n * math.exp(spread[0] * sd.log_alpha)
     beta_per_m = profile.beta_per_m * math.exp(spread[1] * sd.log_beta)
@@ -347,9 +357,9 @@ def readings(deviation: Deviation, commands_v: list[float], tissue: str = "bladd
     quiet = TOOL.model_copy(update={"noise": TOOL.noise.model_copy(update={"strain_sd_v": 1e-9, "strain_lsb_v": 0.0})})
     held = grasper(tissue, tool=quiet, deviation=deviation)
     rest_v = held.step(0.0)[0]
-    volts, degrees, force_n, jaw_m = np.transpose([
-        (*held.step(command_v)[:2], held.force_n, held.jaw_m) for command_v in commands_v
-    ])  # fmt: skip
+    volts, degrees, force_n, jaw_m = np.transpose(
+        [(*held.step(command_v)[:2], held.force_n, held.jaw_m) for command_v in commands_v]
+    )
     jaw = to_jaw(quiet, volts - rest_v, degrees)
     v_m_per_s = np.diff(jaw_m, prepend=0.0) * 1000
     return {"read_n": jaw.force_n, "force_n": force_n, "read_m": jaw.displacement_m, "jaw_m": jaw_m, "v": v_m_per_s}
@@ -453,12 +463,14 @@ def test_specimens_scatter_about_the_profile_as_the_library_says(tissue: str) ->
         held.step(1.0)
         specimen = held.specimen
         drive(held, np.zeros(150))  # the jaws open
-        logs.append([
-            math.log(specimen.material.alpha_n / profile.alpha_n),
-            math.log(specimen.material.beta_per_m / profile.beta_per_m),
-            math.log(specimen.material.damping_kg_per_s / profile.damping_kg_per_s),
-            math.log(specimen.thickness_m / profile.thickness_m),
-        ])  # fmt: skip
+        logs.append(
+            [
+                math.log(specimen.material.alpha_n / profile.alpha_n),
+                math.log(specimen.material.beta_per_m / profile.beta_per_m),
+                math.log(specimen.material.damping_kg_per_s / profile.damping_kg_per_s),
+                math.log(specimen.thickness_m / profile.thickness_m),
+            ]
+        )
     sd = np.array([0.25, 0.10, 0.30, 0.20])  # PHYSICS: SD of log alpha, log beta, log d; the library's of log thickness
     n = len(logs)
     low, high = np.sqrt(chi2.ppf([0.5e-6, 1 - 0.5e-6], n - 1) / (n - 1))

@@ -66,9 +66,17 @@ class Run:
 
 
 def run(
-    tissue="bladder", seed=1, protocol=STRONG, *, cycles=1, true=TOOL, deviation=EXACT, told=None,
-    settings=SETTINGS.limiter, grasper_type=WatchedGrasper,
-):  # fmt: skip
+    tissue="bladder",
+    seed=1,
+    protocol=STRONG,
+    *,
+    cycles=1,
+    true=TOOL,
+    deviation=EXACT,
+    told=None,
+    settings=SETTINGS.limiter,
+    grasper_type=WatchedGrasper,
+):
     """`told(tick)` gives what an estimator tells after the block that ends with `tick`: threshold and tick, or None."""
     grasper = grasper_type(true, LIBRARY, tissue, seed, deviation)
     board = SimulatedBoard(TOOL, grasper, VirtualClock())

@@ -292,9 +292,11 @@ def encrypted(tmp_path: Path):
     board = SimulatedBoard(TOOL, Ramp(), VirtualClock())
     server, port = serve_tcp(board, credentials=credentials)
     wiring = {
-        "grpc_address": f"127.0.0.1:{port}", "grpc_ca": str(server_cert), "grpc_cert": str(own_cert),
+        "grpc_address": f"127.0.0.1:{port}",
+        "grpc_ca": str(server_cert),
+        "grpc_cert": str(own_cert),
         "grpc_key": str(own_key),
-    }  # fmt: skip
+    }
     yield board, wiring, tmp_path
     server.stop(grace=None).wait()
 

@@ -61,8 +61,9 @@ def grasp_truth(
     rest: int = 300, closing: int = 125, held: int = 500, lag: int = 5
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Command, jaw force and displacement of a plain grasp; the jaws answer some samples after the command."""
-    share = np.concatenate([np.zeros(rest), np.linspace(0, 1, closing), np.ones(held), np.linspace(1, 0, closing),
-                            np.zeros(rest)])  # fmt: skip
+    share = np.concatenate(
+        [np.zeros(rest), np.linspace(0, 1, closing), np.ones(held), np.linspace(1, 0, closing), np.zeros(rest)]
+    )
     answer = np.roll(share, lag)
     return 2.0 * share, 1.55 * answer, 0.004 * np.sqrt(answer)
 
@@ -281,9 +282,10 @@ def test_a_contact_in_the_block_in_which_the_last_grasp_ends_is_its_own() -> Non
 
 
 @pytest.mark.recordings
-@pytest.mark.parametrize(("name", "found"), [
-    ("liver4Hz1", Flag.JAWS_SHUT), ("bladder4Hz1", Flag.JAWS_SHUT), ("ureter4Hz1", Flag.ENCODER_SLIPS),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [("liver4Hz1", Flag.JAWS_SHUT), ("bladder4Hz1", Flag.JAWS_SHUT), ("ureter4Hz1", Flag.ENCODER_SLIPS)],
+)
 def test_on_the_real_tool_every_grasp_shows_shut_jaws_or_an_encoder_that_slips(
     recordings: list[Path], name: str, found: Flag
 ) -> None:

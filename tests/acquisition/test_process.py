@@ -54,8 +54,11 @@ def test_priority_is_lost_by_computing_without_end_and_comes_back() -> None:
     policies = {name: ours.recv() if ours.poll(20.0) else None for name in ("at first", "a child", "wild", "kept")}
     process.join()
     assert policies == {
-        "at first": os.SCHED_FIFO, "a child": os.SCHED_OTHER, "wild": os.SCHED_OTHER, "kept": os.SCHED_FIFO,
-    }  # fmt: skip
+        "at first": os.SCHED_FIFO,
+        "a child": os.SCHED_OTHER,
+        "wild": os.SCHED_OTHER,
+        "kept": os.SCHED_FIFO,
+    }
 
 
 def test_it_is_not_taken_unasked() -> None:

@@ -28,10 +28,25 @@ HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"
 
 DOCUMENT_KEYS = {"source", "samples", "lost_samples", "duration_s", "library", "force_scale", "grasps"}
 GRASP_KEYS = {
-    "index", "start_s", "contact_s", "end_s", "label", "probability", "probabilities", "time_to_decision_s", "alpha_n",
-    "beta_per_m", "damping_kg_per_s", "peak_force_n", "peak_displacement_m", "convergence_s", "force_error_n", "valid",
-    "why_invalid", "peak_share_of_limit",
-}  # fmt: skip
+    "index",
+    "start_s",
+    "contact_s",
+    "end_s",
+    "label",
+    "probability",
+    "probabilities",
+    "time_to_decision_s",
+    "alpha_n",
+    "beta_per_m",
+    "damping_kg_per_s",
+    "peak_force_n",
+    "peak_displacement_m",
+    "convergence_s",
+    "force_error_n",
+    "valid",
+    "why_invalid",
+    "peak_share_of_limit",
+}
 
 
 @dataclass(frozen=True)
@@ -57,9 +72,14 @@ class Answer:
 def graspwatch(*arguments: str | Path, columns: int = 200) -> Answer:
     plain = {"COLUMNS": str(columns), "NO_COLOR": "1", "TERM": "dumb"}
     done = subprocess.run(
-        [PROGRAM, *arguments], capture_output=True, text=True, timeout=120, check=False,
-        stdin=subprocess.DEVNULL, env={**os.environ, **plain},
-    )  # fmt: skip
+        [PROGRAM, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        stdin=subprocess.DEVNULL,
+        env={**os.environ, **plain},
+    )
     assert "Traceback" not in done.stderr + done.stdout, done.stderr
     return Answer(done.returncode, done.stdout, done.stderr)
 
@@ -75,10 +95,12 @@ def each(calls: Mapping[str, tuple[str | Path, ...]]) -> dict[str, Answer]:
 @pytest.fixture(scope="module")
 def runs() -> dict[str, Answer]:
     wanted = ("run", "trapezoid_2hz", "--json", "--cycles", str(CYCLES), "--seed")
-    return each({
-        **{tissue: (*wanted, "1", "--tissue", tissue) for tissue in TISSUES},
-        "bladder again": (*wanted, "1", "--tissue", "bladder"),
-    })  # fmt: skip
+    return each(
+        {
+            **{tissue: (*wanted, "1", "--tissue", tissue) for tissue in TISSUES},
+            "bladder again": (*wanted, "1", "--tissue", "bladder"),
+        }
+    )
 
 
 def labels(document: dict[str, Any]) -> Counter[str]:
@@ -190,12 +212,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def others(folder: Path) -> dict[str, Answer]:
-    return each({
-        "two": ("run", "trapezoid_2hz", "--tissue", "gallbladder", "--json", "--cycles", "1", "--library",
-                folder / "two.toml"),
-        "gap": ("replay", "--json", "--tool", "nidaq", folder / "gap.lvm"),
-        "both": ("replay", "--json", "--tool", "nidaq", folder / "gallbladder.lvm", folder / "bladder.lvm.gz"),
-    })  # fmt: skip
+    return each(
+        {
+            "two": (
+                "run",
+                "trapezoid_2hz",
+                "--tissue",
+                "gallbladder",
+                "--json",
+                "--cycles",
+                "1",
+                "--library",
+                folder / "two.toml",
+            ),
+            "gap": ("replay", "--json", "--tool", "nidaq", folder / "gap.lvm"),
+            "both": ("replay", "--json", "--tool", "nidaq", folder / "gallbladder.lvm", folder / "bladder.lvm.gz"),
+        }
+    )
 
 
 @pytest.fixture(scope="module")
@@ -329,11 +362,13 @@ def refusals(folder: Path, taken_port: int) -> dict[str, Answer]:
         ("recording tool", 2, r"Use `graspwatch replay FILE --serve`"),
         ("tool", 2, r"There is no tool 'nidaqmx'\. Did you mean 'nidaq'\?"),
         pytest.param(
-            "driver", 4, r"install NI-DAQmx from ni\.com, or run with `--tool simulated`",
+            "driver",
+            4,
+            r"install NI-DAQmx from ni\.com, or run with `--tool simulated`",
             marks=pytest.mark.skipif(HAS_DRIVER, reason="NI-DAQmx is installed: this would open a real board"),
         ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_done_ends_with_one_message_and_its_exit_code_and_prints_no_result(
     refusals: dict[str, Answer], call: str, code: int, told: str
 ) -> None:
@@ -367,10 +402,15 @@ def test_the_tool_that_the_settings_name_is_the_one_that_runs(tmp_path: Path) ->
 
 
 def test_every_command_explains_itself_and_the_program_its_exit_codes() -> None:
-    answers = each({
-        "": ("--help",), "serve": ("serve", "--help"), "run": ("run", "--help"), "replay": ("replay", "--help"),
-        "version": ("--version",),
-    })  # fmt: skip
+    answers = each(
+        {
+            "": ("--help",),
+            "serve": ("serve", "--help"),
+            "run": ("run", "--help"),
+            "replay": ("replay", "--help"),
+            "version": ("--version",),
+        }
+    )
     assert all(answer.code == 0 and answer.err == "" for answer in answers.values())
     assert "not a medical device" in " ".join(answers[""].out.split())
     assert "Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6" in answers[""].out

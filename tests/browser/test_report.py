@@ -154,8 +154,11 @@ def test_it_prints_white_on_a4_with_no_plot_cut(opened):
 def test_hundreds_of_grasps_are_a_page_that_can_be_used(browser, tmp_path):
     story = simulated_story("bladder")
     grasps = story.grasps * 100
-    many = Report("Report: many", (type(story)(**{
-        name: getattr(story, name) for name in story.__dataclass_fields__} | {"grasps": grasps}),), {})  # fmt: skip
+    many = Report(
+        "Report: many",
+        (type(story)(**{name: getattr(story, name) for name in story.__dataclass_fields__} | {"grasps": grasps}),),
+        {},
+    )
     path = tmp_path / "many.html"
     path.write_text(report_page(many, lambda _: None))
     assert path.stat().st_size < 15e6

@@ -18,9 +18,11 @@ from config.load import CONFIG_DIR, available, holdable, load_library, load_prot
 from config.schema import Protocol, TissueLibrary
 
 LOADERS: dict[str, Callable[[str], Any]] = {
-    "tools": load_tool, "tissues": load_library, "protocols": load_protocol,
+    "tools": load_tool,
+    "tissues": load_library,
+    "protocols": load_protocol,
     ".": lambda path: load_settings(Path(path)),
-}  # fmt: skip
+}
 FILES = [(folder, name) for folder in LOADERS for name in ([*available(folder)] if folder != "." else ["graspwatch"])]
 TOOL = load_tool("simulated")
 ANY_FILE = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -155,8 +155,13 @@ def test_all_faults_of_a_file_are_told_at_once_each_with_its_place(tmp_path: Pat
         ("strain_sd_v", "strain_sd_mv"),
     )
     told = fault_of(load_tool, path).splitlines()
-    places = ("board.sample_rate_hz", "geometry.l_jaw_m", "limits.max_command_v", "noise.strain_sd_v",
-              "noise.strain_sd_mv")  # fmt: skip
+    places = (
+        "board.sample_rate_hz",
+        "geometry.l_jaw_m",
+        "limits.max_command_v",
+        "noise.strain_sd_v",
+        "noise.strain_sd_mv",
+    )
     assert told[0] == f"{len(places)} faults to mend:"
     assert len(told) == 1 + len(places)
     for place in places:
@@ -319,9 +324,10 @@ def test_an_empty_file_lacks_all_its_keys(tmp_path: Path) -> None:
     assert all(f"{path}: {key}: " in told for key in ("name", "title", "waveform"))
 
 
-@pytest.mark.parametrize(("folder", "near", "meant"), [
-    ("tools", "simulate", "simulated"), ("tissues", "porcin", "porcine"), ("protocols", "sinus", "sine"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("folder", "near", "meant"),
+    [("tools", "simulate", "simulated"), ("tissues", "porcin", "porcine"), ("protocols", "sinus", "sine")],
+)
 def test_an_unknown_name_is_told_with_what_there_is(folder: str, near: str, meant: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         LOADERS[folder](near)

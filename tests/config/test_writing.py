@@ -17,9 +17,18 @@ EXPIRES = DAY + datetime.timedelta(days=90)
 
 def measured(constant: str, value: float, expires: datetime.date = EXPIRES) -> Measured:
     return Measured(
-        constant=constant, value=value, low=value, high=value, unit="N/V", residual=0.001, residual_unit="V",
-        readings=8, date=DAY, person="a test", expires=expires,
-    )  # fmt: skip
+        constant=constant,
+        value=value,
+        low=value,
+        high=value,
+        unit="N/V",
+        residual=0.001,
+        residual_unit="V",
+        readings=8,
+        date=DAY,
+        person="a test",
+        expires=expires,
+    )
 
 
 def write(into: Path, tool: str = "nidaq", value: float = 12.3456789) -> Path:

@@ -32,9 +32,12 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (clone / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(CHECKOUT / name, clone / name)
     built = subprocess.run(
-        [sys.executable, clone / "deploy/build.py", folder], capture_output=True, text=True, timeout=600,
+        [sys.executable, clone / "deploy/build.py", folder],
+        capture_output=True,
+        text=True,
+        timeout=600,
         env={**os.environ, "PATH": f"{node()}:{os.environ['PATH']}"},
-    )  # fmt: skip
+    )
     assert built.returncode == 0, built.stderr[-3000:]
     return folder
 
@@ -53,9 +56,13 @@ def installed(image: Path) -> Iterator[tuple[Path, str]]:
     data = image / "var/lib/graspwatch"
     environment = {"PATH": SMALL_PATH, "HOME": "/nonexistent", "NUMBA_CACHE_DIR": str(image / "var/cache/graspwatch")}
     with subprocess.Popen(
-        [programs / "graspwatch", "serve", "--port", "0", "--data", data], cwd=data, env=environment, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    ) as process:  # fmt: skip
+        [programs / "graspwatch", "serve", "--port", "0", "--data", data],
+        cwd=data,
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
         found = re.search(r"http://localhost:\d+", process.stdout.readline())
         assert found, process.communicate()[1]
         yield programs, found[0]

@@ -1,7 +1,7 @@
 """Stands for `graspwatch serve` in a page's commands: goes on in the background until the next one, or the page's end.
 
-    serving.py FOLDER PROGRAM [arguments]     start, and wait until it is ready; FOLDER keeps what must be known of it
-    serving.py FOLDER                         end it
+serving.py FOLDER PROGRAM [arguments]     start, and wait until it is ready; FOLDER keeps what must be known of it
+serving.py FOLDER                         end it
 """
 
 import os

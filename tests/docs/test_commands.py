@@ -19,14 +19,25 @@ CHECKOUT = Path(__file__).parents[2]
 PROGRAMS = Path(sys.executable).parent
 NEWEST = '$(basename "$(ls graspwatch-data/recordings/*.mcap | tail -n 1)" .mcap)'
 HELD = {
-    "RECORDING": "liver", "liver": "liver", "liver1": "liver", "liver4Hz1": "liver", "bladder": "bladder",
-    "bladder1": "bladder", "bladder2": "bladder", "another": "bladder", "a": "liver", "b": "liver", "c": "bladder",
-}  # fmt: skip
+    "RECORDING": "liver",
+    "liver": "liver",
+    "liver1": "liver",
+    "liver4Hz1": "liver",
+    "bladder": "bladder",
+    "bladder1": "bladder",
+    "bladder2": "bladder",
+    "another": "bladder",
+    "a": "liver",
+    "b": "liver",
+    "c": "bladder",
+}
 LONG_PAGES = ("README.md", "docs/tutorial.md", "docs/operating.md", "docs/recordings.md", "docs/learning.md")
 PAGES = [
-    "docs/programs.md", "docs/foxglove.md", "docs/people.md",
+    "docs/programs.md",
+    "docs/foxglove.md",
+    "docs/people.md",
     *(pytest.param(page, marks=pytest.mark.long) for page in LONG_PAGES),
-]  # fmt: skip
+]
 HARDWARE = "docs/hardware.md"  # needs answers: tests/end_to_end/test_hardware_page.py
 PROSE = {"docs/deploying.md", "CONTRIBUTING.md"}  # only what needs root, Docker or make
 

@@ -32,11 +32,16 @@ CONTROLS = st.fixed_dictionaries(
 )
 RECEIVED = st.fixed_dictionaries({"type": st.just("received"), "sequence": st.integers(-(2**70), 2**70)})
 MESSAGES = (
-    (CONTROLS | RECEIVED | st.builds(lambda kind, rest: {"type": kind, **rest}, KINDS, st.dictionaries(NAMES, VALUES)))
-    .map(json.dumps)
-    | VALUES.map(json.dumps) | st.text(max_size=30) | st.binary(max_size=30)
+    (
+        CONTROLS
+        | RECEIVED
+        | st.builds(lambda kind, rest: {"type": kind, **rest}, KINDS, st.dictionaries(NAMES, VALUES))
+    ).map(json.dumps)
+    | VALUES.map(json.dumps)
+    | st.text(max_size=30)
+    | st.binary(max_size=30)
     | st.sampled_from(["[" * 50_000, '{"a":' * 50_000, "9" * 100_000])
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")

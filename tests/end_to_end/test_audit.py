@@ -26,22 +26,42 @@ def newest(service: Service) -> dict[str, object]:
     [
         ("POST", "/api/stop", {"json": {"by": "Ada"}}, ("Stop: done", "Ada", "done", None)),
         ("POST", "/api/stop", {}, ("Stop: done", None, "done", None)),
-        ("POST", "/api/stop", {"content": b'{"by": "Ada\\ud800"}', "headers": {"Content-Type": "application/json"}},
-         ("Stop: done", "Ada?", "done", None)),
-        ("POST", "/api/runs", {"json": {"protocol": "no_such", "by": "Eve"}},
-         ("Start run no_such: refused", "Eve", "refused", "no_such")),
+        (
+            "POST",
+            "/api/stop",
+            {"content": b'{"by": "Ada\\ud800"}', "headers": {"Content-Type": "application/json"}},
+            ("Stop: done", "Ada?", "done", None),
+        ),
+        (
+            "POST",
+            "/api/runs",
+            {"json": {"protocol": "no_such", "by": "Eve"}},
+            ("Start run no_such: refused", "Eve", "refused", "no_such"),
+        ),
         ("POST", "/api/runs", {"json": {"by": "Eve"}}, ("Start run: refused", "Eve", "refused", "Field required")),
         ("POST", "/api/runs", {"content": b"\xff[{"}, ("Start run: refused", None, "refused", "")),
         ("POST", "/api/runs/nil/stop", {"json": {"by": "Eve"}}, ("Stop run nil: refused", "Eve", "refused", "no run")),
-        ("POST", "/api/alarms/none/acknowledge", {"json": {"by": "Ada", "priority": "high"}},
-         ("Acknowledge none: refused", "Ada", "refused", "no alarm")),
-        ("DELETE", "/api/recordings/nil.mcap?by=Ada", {"headers": {"X-Forwarded-For": "192.0.2.7"}},
-         ("DELETE /api/recordings/nil.mcap: refused", "Ada", "refused", "")),
+        (
+            "POST",
+            "/api/alarms/none/acknowledge",
+            {"json": {"by": "Ada", "priority": "high"}},
+            ("Acknowledge none: refused", "Ada", "refused", "no alarm"),
+        ),
+        (
+            "DELETE",
+            "/api/recordings/nil.mcap?by=Ada",
+            {"headers": {"X-Forwarded-For": "192.0.2.7"}},
+            ("DELETE /api/recordings/nil.mcap: refused", "Ada", "refused", ""),
+        ),
         ("DELETE", "/api/recordings/nil.mcap?by=Ada", {}, ("Delete nil.mcap: refused", "Ada", "refused", "recording")),
-        ("POST", "/api/studies", {"json": {"study": "astrology", "by": "Eve"}},
-         ("Start study astrology, seed 0: refused", "Eve", "refused", "astrology")),
+        (
+            "POST",
+            "/api/studies",
+            {"json": {"study": "astrology", "by": "Eve"}},
+            ("Start study astrology, seed 0: refused", "Eve", "refused", "astrology"),
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_request_for_a_change_is_noted_whatever_comes_of_it(
     service: Service, method: str, path: str, asked: dict, line: tuple
 ) -> None:

@@ -112,9 +112,18 @@ def test_each_expired_constant_is_told_by_name(tmp_path: Path) -> None:
     old = tmp_path / "old.toml"
     old.write_text(text.replace('person = "simulation"', 'person = "simulation"\nexpires = 2026-11-27', 1))
     tared = Measured(
-        constant="rest_offset_v", value=0.82, low=0.81, high=0.83, unit="V", residual=0.002, residual_unit="V",
-        readings=10_000, date=date.today(), person="a test", expires=date.today() + timedelta(days=90),
-    )  # fmt: skip
+        constant="rest_offset_v",
+        value=0.82,
+        low=0.81,
+        high=0.83,
+        unit="V",
+        residual=0.002,
+        residual_unit="V",
+        readings=10_000,
+        date=date.today(),
+        person="a test",
+        expires=date.today() + timedelta(days=90),
+    )
     old = write_calibrated(str(old), {"calibration.rest_offset_v": 0.82}, [tared], date.today(), tmp_path)
     expired = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "opening_m", "strain_sd_v")
     names = ", ".join(f"{name} (2026-11-27)" for name in expired)
@@ -125,8 +134,10 @@ def test_each_expired_constant_is_told_by_name(tmp_path: Path) -> None:
         ]
         system = running.http.get("/api/system").json()
         assert {each["constant"]: each["expired"] for each in system["constants"]} == {
-            **dict.fromkeys(expired, True), "rest_offset_v": False, "jaw_force_scale": False,
-        }  # fmt: skip
+            **dict.fromkeys(expired, True),
+            "rest_offset_v": False,
+            "jaw_force_scale": False,
+        }
         realtime = system["realtime"]
         assert set(realtime) == {"acquisition", "estimator", "recorder", "server"}
         assert all(each.startswith("priority ") for each in realtime.values())

@@ -60,8 +60,15 @@ def test_the_reference_client_receives_every_channel(streaming: tuple[Service, i
     assert received["server"] == "Simulated grasper"
     topics = received["topics"]
     assert set(topics) == {
-        "/raw", "/conditioned", "/estimates", "/identification", "/grasp", "/alarm", "/run", "/journal",
-    }  # fmt: skip
+        "/raw",
+        "/conditioned",
+        "/estimates",
+        "/identification",
+        "/grasp",
+        "/alarm",
+        "/run",
+        "/journal",
+    }
     at_ns, samples = rows(topics["/conditioned"])
     ticks = np.array([each.tick for each in samples])
     assert (np.diff(ticks) == 1).all()

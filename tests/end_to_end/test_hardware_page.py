@@ -28,9 +28,14 @@ def test_the_first_day_goes_as_the_page_says(tmp_path: Path) -> None:
     threading.Thread(target=os.write, args=(theirs, b"y\n" * 100), daemon=True).start()
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     done = subprocess.Popen(
-        ["bash", "-c", script], cwd=tmp_path, env={**os.environ, "PATH": path}, stdin=ours, stdout=subprocess.PIPE,
-        stderr=ours, text=True,
-    )  # fmt: skip
+        ["bash", "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        stdin=ours,
+        stdout=subprocess.PIPE,
+        stderr=ours,
+        text=True,
+    )
     said = []
     threading.Thread(target=lambda: said.extend(iter(lambda: os.read(theirs, 4096), b"")), daemon=True).start()
     out, _ = done.communicate(timeout=240)

@@ -83,11 +83,16 @@ def test_lists_are_filtered_and_come_in_pages(service: Service) -> None:
 @pytest.mark.parametrize(
     ("path", "field"),
     [
-        ("/api/runs?limit=501", "limit"), ("/api/runs?offset=-1", "offset"), ("/api/runs?since=yesterday", "since"),
-        ("/api/runs?since=2026-01-01T00:00:00", "since"), ("/api/runs?stat=failed", "stat"),
-        ("/api/grasps?label=%00", "label"), ("/api/audit?kind=nonsense", "kind"), ("/api/recordings?limit=0", "limit"),
+        ("/api/runs?limit=501", "limit"),
+        ("/api/runs?offset=-1", "offset"),
+        ("/api/runs?since=yesterday", "since"),
+        ("/api/runs?since=2026-01-01T00:00:00", "since"),
+        ("/api/runs?stat=failed", "stat"),
+        ("/api/grasps?label=%00", "label"),
+        ("/api/audit?kind=nonsense", "kind"),
+        ("/api/recordings?limit=0", "limit"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_question_names_its_field(service: Service, path: str, field: str) -> None:
     response = service.http.get(path)
     assert (response.status_code, response.headers["content-type"]) == (422, "application/problem+json")
@@ -292,9 +297,12 @@ def settings_with(folder: Path, **changes: str) -> str:
 def refused(*arguments: str) -> tuple[int, str]:
     """How the program ends that must not start."""
     done = subprocess.run(
-        [PROGRAM, *arguments, "--port", "0"], capture_output=True, text=True, timeout=60,
+        [PROGRAM, *arguments, "--port", "0"],
+        capture_output=True,
+        text=True,
+        timeout=60,
         env={**os.environ, "COLUMNS": "300"},
-    )  # fmt: skip
+    )
     assert "Dashboard" not in done.stdout
     assert "Traceback" not in done.stderr
     return done.returncode, done.stderr

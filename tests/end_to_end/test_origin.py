@@ -106,15 +106,23 @@ def test_only_its_own_page_may_move_or_watch(service, origin):
 @pytest.mark.parametrize(
     "headers",
     [
-        [], [b"Host: localhost", b"Host: localhost"], [b"Host: evil.example", b"Host: localhost"],
-        [b"Host: localhost", b"Host: evil.example"], [b"Host : localhost"], [b"Host: local\r\n host"],
-        [b"X-Host: localhost"], [b"Host: localhost", b"X-Forwarded-Host: localhost"],
-        [b"Host: localhost", b"X-Forwarded-Proto: http"], [b"Host: localhost", b"Forwarded: host=localhost"],
-        [b"Host: evil.example", b"X-Forwarded-Host: localhost"], [b"Host: localhost", b"Via: 1.1 localhost"],
+        [],
+        [b"Host: localhost", b"Host: localhost"],
+        [b"Host: evil.example", b"Host: localhost"],
+        [b"Host: localhost", b"Host: evil.example"],
+        [b"Host : localhost"],
+        [b"Host: local\r\n host"],
+        [b"X-Host: localhost"],
+        [b"Host: localhost", b"X-Forwarded-Host: localhost"],
+        [b"Host: localhost", b"X-Forwarded-Proto: http"],
+        [b"Host: localhost", b"Forwarded: host=localhost"],
+        [b"Host: evil.example", b"X-Forwarded-Host: localhost"],
+        [b"Host: localhost", b"Via: 1.1 localhost"],
         [b"Host: localhost", b"Origin: http://localhost", b"Origin: http://localhost"],
-        [b"Host: localhost", b"Sec-Fetch-Site: cross-site"], [b"Host: localhost", b"Sec-Fetch-Site: same-site"],
+        [b"Host: localhost", b"Sec-Fetch-Site: cross-site"],
+        [b"Host: localhost", b"Sec-Fetch-Site: same-site"],
     ],
-)  # fmt: skip
+)
 def test_what_is_doubled_missing_or_said_by_a_proxy_or_another_page_moves_nothing(service, headers):
     as_json = [*headers, b"Content-Type: application/json"]
     assert status(service, b"POST", b"/api/runs", as_json, NO_RUN) in REFUSED

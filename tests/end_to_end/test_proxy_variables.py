@@ -70,8 +70,9 @@ def test_the_client_asks_another_computer_through_the_proxy(service, token, prox
     told = said([sys.executable, "-c", CLIENT, token, "http://grasp.example:8000"], VARIABLES, proxy)
     assert told == "Vera hello\n"
     assert [line.split(" ")[:2] for line in proxy.asked] == [
-        ["CONNECT", "grasp.example:8000"], ["GET", "http://grasp.example:8000/api/session"],
-    ]  # fmt: skip
+        ["CONNECT", "grasp.example:8000"],
+        ["GET", "http://grasp.example:8000/api/session"],
+    ]
 
 
 @pytest.mark.parametrize("host", ["localhost", "[::1]", "grasp.example"])

@@ -62,9 +62,13 @@ def check(operation, mode, role, url, headers):
     may = needed is None or (role is not None and role.includes(needed))
 
     @settings(
-        max_examples=EXAMPLES[mode], deadline=None, database=None, derandomize=True, phases=[Phase.generate],
+        max_examples=EXAMPLES[mode],
+        deadline=None,
+        database=None,
+        derandomize=True,
+        phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
+    )
     @given(case=operation.as_strategy(mode))
     def answered(case):
         response = case.call(base_url=url, headers=headers, allow_redirects=False)

@@ -63,8 +63,11 @@ def followed(bank, samples):
     return mean, variance
 
 
-@pytest.mark.parametrize("sensed, jump_m", [(True, 0.0), (False, 0.0), (True, 1e-4)],
-                         ids=["contact sensed", "contact found from the force", "a jump"])  # fmt: skip
+@pytest.mark.parametrize(
+    "sensed, jump_m",
+    [(True, 0.0), (False, 0.0), (True, 1e-4)],
+    ids=["contact sensed", "contact found from the force", "a jump"],
+)
 def test_agrees_with_the_independent_bank_on_filterpy(grasp, sensed, jump_m):
     """Over second passes, samples without learning, and a jump of 8 SD at which the covariance is widened.
 

@@ -11,8 +11,13 @@ NAMES = ("liver", "bladder", "unknown")
 
 def test_names_at_the_bound_keeps_the_name_and_withdraws_it_below():
     decision = Decision(NAMES, Identification(decide_at=0.8, withdraw_below=0.6, confirm_s=0), rate_hz=1000)
-    course = [([0.7, 0.2, 0.1], UNDECIDED), ([0.85, 0.1, 0.05], "liver"), ([0.65, 0.3, 0.05], "liver"),
-              ([0.55, 0.4, 0.05], UNDECIDED), ([0.1, 0.85, 0.05], "bladder")]  # fmt: skip
+    course = [
+        ([0.7, 0.2, 0.1], UNDECIDED),
+        ([0.85, 0.1, 0.05], "liver"),
+        ([0.65, 0.3, 0.05], "liver"),
+        ([0.55, 0.4, 0.05], UNDECIDED),
+        ([0.1, 0.85, 0.05], "bladder"),
+    ]
     for tick, (probabilities, label) in enumerate(course):
         decision.update(np.array(probabilities), tick)
         assert decision.label == label
@@ -62,8 +67,13 @@ def test_warnings_rise_at_70_90_100_percent_and_fall_with_hysteresis():
         if change:
             changes.append((tick, change.priority))
     assert changes == [
-        (1, Priority.LOW), (3, None), (4, Priority.MEDIUM), (5, Priority.HIGH), (7, Priority.MEDIUM), (8, None)
-    ]  # fmt: skip
+        (1, Priority.LOW),
+        (3, None),
+        (4, Priority.MEDIUM),
+        (5, Priority.HIGH),
+        (7, Priority.MEDIUM),
+        (8, None),
+    ]
 
 
 def test_a_warning_follows_the_threshold_of_the_tissue_named():

@@ -68,64 +68,80 @@ def test_nothing_moves_before_somebody_agrees():
 MISTAKES = {
     "strain and read-back swapped": (
         {"file": changed("channels", strain="ai2", motor_command_readback="ai0")},
-        "strain gage at rest", "the motor command read back (ai0) looks like a strain gage: the two are swapped",
+        "strain gage at rest",
+        "the motor command read back (ai0) looks like a strain gage: the two are swapped",
     ),
     "strain and touch swapped": (
         {"file": changed("channels", strain="ai3", touch=("ai0", "ai1"))},
-        "strain gage at rest", "touch sensor 1 (ai0) looks like a strain gage: the two are swapped",
+        "strain gage at rest",
+        "touch sensor 1 (ai0) looks like a strain gage: the two are swapped",
     ),
     "encoder reversed": (
-        {"fault": SensorFault.ENCODER_REVERSED}, "encoder direction", "backwards: exchange A and B of ctr0",
+        {"fault": SensorFault.ENCODER_REVERSED},
+        "encoder direction",
+        "backwards: exchange A and B of ctr0",
     ),
-    "encoder not connected": (
-        {"fault": SensorFault.ENCODER_STUCK}, "encoder direction", "check the cable of ctr0",
-    ),
+    "encoder not connected": ({"fault": SensorFault.ENCODER_STUCK}, "encoder direction", "check the cable of ctr0"),
     "encoder of half the counts": (
-        {"real": changed("calibration", encoder_counts_per_rev=250)}, "encoder scale", "it counts half the pulses",
+        {"real": changed("calibration", encoder_counts_per_rev=250)},
+        "encoder scale",
+        "it counts half the pulses",
     ),
     "encoder of twice the counts": (
-        {"real": changed("calibration", encoder_counts_per_rev=1000)}, "encoder scale", "it counts twice the pulses",
+        {"real": changed("calibration", encoder_counts_per_rev=1000)},
+        "encoder scale",
+        "it counts twice the pulses",
     ),
-    "strain input floats": (
-        {"mistake": Mistake.STRAIN_FLOATS}, "strain gage at rest", "mains hum: nothing drives ai0",
-    ),
+    "strain input floats": ({"mistake": Mistake.STRAIN_FLOATS}, "strain gage at rest", "mains hum: nothing drives ai0"),
     "strain amplifier at its rail": (
-        {"fault": SensorFault.STRAIN_SATURATED}, "strain gage at rest", "the end of its range: look for a broken wire",
+        {"fault": SensorFault.STRAIN_SATURATED},
+        "strain gage at rest",
+        "the end of its range: look for a broken wire",
     ),
-    "input shorted": (
-        {"fault": SensorFault.STRAIN_DROP_OUT}, "strain gage at rest", "which no amplifier does",
-    ),
-    "noisy cable": (
-        {"real": changed("noise", strain_sd_v=0.03)}, "strain gage at rest", "check the cable's screen",
-    ),
+    "input shorted": ({"fault": SensorFault.STRAIN_DROP_OUT}, "strain gage at rest", "which no amplifier does"),
+    "noisy cable": ({"real": changed("noise", strain_sd_v=0.03)}, "strain gage at rest", "check the cable's screen"),
     "another rest voltage": (
-        {"real": changed("calibration", rest_offset_v=0.5)}, "strain gage at rest", "`graspwatch calibrate tare`",
+        {"real": changed("calibration", rest_offset_v=0.5)},
+        "strain gage at rest",
+        "`graspwatch calibrate tare`",
     ),
     "motor command not read back": (
-        {"mistake": Mistake.READBACK_OPEN}, "motor command read back", "ai2 stays at zero: it is not connected to ao0",
+        {"mistake": Mistake.READBACK_OPEN},
+        "motor command read back",
+        "ai2 stays at zero: it is not connected to ao0",
     ),
     "motor command read back through a divider": (
-        {"mistake": Mistake.READBACK_HALVED}, "motor command read back", "of each volt 0.500 V come back",
+        {"mistake": Mistake.READBACK_HALVED},
+        "motor command read back",
+        "of each volt 0.500 V come back",
     ),
     "no such channel": (
-        {"file": changed("channels", strain="ai9")}, "channels", "the board has no ai9: correct the names",
+        {"file": changed("channels", strain="ai9")},
+        "channels",
+        "the board has no ai9: correct the names",
     ),
     "one channel for two signals": (
-        {"file": changed("channels", strain="ai2")}, "channels", "ai2 stands for two signals",
+        {"file": changed("channels", strain="ai2")},
+        "channels",
+        "ai2 stands for two signals",
     ),
     "no such range": (
-        {"file": changed("channels", analog_range_v=2.0)}, "channels", "set `analog_range_v` to one of 0.2, 1, 5, 10 V",
+        {"file": changed("channels", analog_range_v=2.0)},
+        "channels",
+        "set `analog_range_v` to one of 0.2, 1, 5, 10 V",
     ),
-    "another device name": (
-        {"file": changed("board", device="Dev2")}, "board", "There is no board named Dev2",
-    ),
+    "another device name": ({"file": changed("board", device="Dev2")}, "board", "There is no board named Dev2"),
     "another product": (
-        {"real": changed("board", product="USB-6009")}, "board", "Dev1 is a USB-6009, the tool file is for a PCI-6230",
+        {"real": changed("board", product="USB-6009")},
+        "board",
+        "Dev1 is a USB-6009, the tool file is for a PCI-6230",
     ),
     "a sensor that tells contact": (
-        {"mistake": Mistake.TOUCH_STUCK}, "touch sensors at rest", "which is contact: empty the jaws",
+        {"mistake": Mistake.TOUCH_STUCK},
+        "touch sensors at rest",
+        "which is contact: empty the jaws",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("bench", "check", "says"), MISTAKES.values(), ids=MISTAKES)

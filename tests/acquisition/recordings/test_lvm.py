@@ -250,9 +250,31 @@ def test_a_second_measurement_in_the_file_is_told_with_its_line(tmp_path: Path) 
 
 SHORT = LINES[: FIRST + 40]
 SPLINTERS = st.sampled_from(
-    ["\t", "\n", "\r", "\0", "1e308", "1e999", "-", "nan", "9" * 400, "1_0", "٣", "\x1c", "\u2028", "0.001", "1e15",
-     "0x10", "***End_of_Header***", "LabVIEW Measurement", "X_Value", " ", ",", "\ud800"]
-) | st.text(max_size=5)  # fmt: skip
+    [
+        "\t",
+        "\n",
+        "\r",
+        "\0",
+        "1e308",
+        "1e999",
+        "-",
+        "nan",
+        "9" * 400,
+        "1_0",
+        "٣",
+        "\x1c",
+        "\u2028",
+        "0.001",
+        "1e15",
+        "0x10",
+        "***End_of_Header***",
+        "LabVIEW Measurement",
+        "X_Value",
+        " ",
+        ",",
+        "\ud800",
+    ]
+) | st.text(max_size=5)
 
 
 @given(chance=st.data())

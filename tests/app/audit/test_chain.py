@@ -66,8 +66,9 @@ def test_a_journal_is_whole_over_restarts_and_says_where_its_chain_begins(sealed
     assert whole.newest_hash == known[-1].hash
     assert "2 lines of an older version" in whole.notes[0]
     assert (known[0].kind, known[0].text) == (
-        JournalKind.CHAIN, "The chain of the journal begins, after 2 lines that are not in it",
-    )  # fmt: skip
+        JournalKind.CHAIN,
+        "The chain of the journal begins, after 2 lines that are not in it",
+    )
 
 
 @given(chance=st.data())
@@ -116,7 +117,7 @@ def test_lines_that_were_removed_repeated_or_moved_are_found(sealed, chance: st.
         (lambda lines: lines[:-2], "line number 8 is missing, which the index knows ('Event 1 µ')"),
         (lambda lines: [], "line number 3 is missing, which the index knows"),
     ],
-)  # fmt: skip
+)
 def test_the_first_place_is_named(sealed, change: Callable[[list[bytes]], list[bytes]], says: str) -> None:
     lines = sealed[2].splitlines(keepends=True)
     assert says in (found(sealed, b"".join(change(lines))).problem or "")
@@ -197,8 +198,10 @@ def test_the_chain_goes_on_in_the_next_file(tmp_path: Path, compressed: bool) ->
     os.utime(first, (0, 0))  # a copy may have lost its age
     written(tmp_path)
     assert check(tmp_path, []).model_dump(include={"whole", "notes", "lines"}) == {
-        "whole": True, "notes": [], "lines": 8,
-    }  # fmt: skip
+        "whole": True,
+        "notes": [],
+        "lines": 8,
+    }
     first.unlink()
     assert "number 5 is due, and this is 6" in (check(tmp_path, []).problem or "")
 
@@ -266,8 +269,11 @@ def test_a_deed_says_who_what_from_where_and_with_what_result(tmp_path: Path) ->
     journal.deed("start", "Start \ud800", client="192.0.2.7", result=Result.REFUSED, by="Ada", reason="Stop it first.")
     entry = told[-1]
     assert (entry.kind, entry.text, entry.by, entry.client) == (
-        JournalKind.REQUEST, "Start ?: refused", "Ada", "192.0.2.7",
-    )  # fmt: skip
+        JournalKind.REQUEST,
+        "Start ?: refused",
+        "Ada",
+        "192.0.2.7",
+    )
     assert (entry.result, entry.reason) == (Result.REFUSED, "Stop it first.")
     copy = shutil.copytree(tmp_path, tmp_path / "copy")
     assert check(copy, []).whole

@@ -34,8 +34,13 @@ def test_one_calibration_builds_on_the_other_and_the_last_file_holds_all(tmp_pat
     assert all(path.exists() for path in files)
     measured = tomllib.loads(files[-1].read_text())["calibration"]["measured"]
     assert {each["constant"] for each in measured} == {
-        "rest_offset_v", "strain_sd_v", "newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "opening_m",
-    }  # fmt: skip
+        "rest_offset_v",
+        "strain_sd_v",
+        "newton_per_volt",
+        "encoder_deg_per_volt",
+        "handle_per_encoder",
+        "opening_m",
+    }
 
 
 def test_nothing_moves_and_nothing_is_written_unless_somebody_agrees(tmp_path: Path) -> None:

@@ -46,9 +46,15 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def learned(folder):
     printed = learn(
-        "--label", f"bladder={folder}/bladder1.lvm", "--label", f"gallbladder={folder}/gallbladder1.lvm", *SIMULATED,
-        "--out", folder / "library.toml", "--json",
-    )  # fmt: skip
+        "--label",
+        f"bladder={folder}/bladder1.lvm",
+        "--label",
+        f"gallbladder={folder}/gallbladder1.lvm",
+        *SIMULATED,
+        "--out",
+        folder / "library.toml",
+        "--json",
+    )
     return load_library(str(folder / "library.toml")), json.loads(printed)
 
 

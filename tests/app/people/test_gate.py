@@ -22,10 +22,17 @@ def answer(app: Any, path: str, receive: Any) -> int:
         sent.append(message)
 
     scope = {
-        "type": "http", "method": "POST", "path": path, "raw_path": path.encode(), "query_string": b"",
-        "scheme": "http", "http_version": "1.1", "server": ("127.0.0.1", 8000), "client": ("127.0.0.1", 5000),
+        "type": "http",
+        "method": "POST",
+        "path": path,
+        "raw_path": path.encode(),
+        "query_string": b"",
+        "scheme": "http",
+        "http_version": "1.1",
+        "server": ("127.0.0.1", 8000),
+        "client": ("127.0.0.1", 5000),
         "headers": [(b"host", b"localhost:8000"), (b"content-type", b"application/json"), (b"content-length", b"9")],
-    }  # fmt: skip
+    }
     asyncio.run(asyncio.wait_for(app(scope, receive, send), 5.0))
     return sent[0]["status"]
 

@@ -90,10 +90,15 @@ def asked_by(address: str | None, *headers: tuple[str, str], host: str | None = 
     raw = [(name.encode("latin-1"), value.encode("latin-1")) for name, value in named]
     return Request(
         {
-            "type": "http", "client": address and (address, 5000), "server": ("127.0.0.1", 8000), "headers": raw,
-            "path": "/", "scheme": "http", "query_string": b"",
+            "type": "http",
+            "client": address and (address, 5000),
+            "server": ("127.0.0.1", 8000),
+            "headers": raw,
+            "path": "/",
+            "scheme": "http",
+            "query_string": b"",
         }
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("host", ["localhost", "LOCALHOST:8000", "[::1]:9999", "tool.example", "[fe80::1]"])
@@ -106,10 +111,29 @@ def test_who_sits_at_the_machine_asks_by_one_of_its_names(host: str) -> None:
 
 @pytest.mark.parametrize(
     "host",
-    ["rebound.example", "localhost.example", "127.0.0.2", "127.1", "0.0.0.0", "[::]", "::1", "localhost.", "", " ",
-     "localhost:", "localhost:x", "localhost:0", "user@localhost", "a{b.example", "a`b.example:8000", "localhost\xa0",
-     "localhost, evil.example", "evil.example/localhost", None],
-)  # fmt: skip
+    [
+        "rebound.example",
+        "localhost.example",
+        "127.0.0.2",
+        "127.1",
+        "0.0.0.0",
+        "[::]",
+        "::1",
+        "localhost.",
+        "",
+        " ",
+        "localhost:",
+        "localhost:x",
+        "localhost:0",
+        "user@localhost",
+        "a{b.example",
+        "a`b.example:8000",
+        "localhost\xa0",
+        "localhost, evil.example",
+        "evil.example/localhost",
+        None,
+    ],
+)
 def test_any_other_name_is_none_of_this_machine(host: str | None) -> None:
     assert not comes_from_here(asked_by("127.0.0.1", host=host), ())
 
@@ -139,10 +163,15 @@ def test_a_proxy_is_not_this_machine(name: str, value: str) -> None:
 @pytest.mark.parametrize(
     ("sites", "here"),
     [
-        (["same-origin"], True), (["none"], True), (["cross-site"], False), (["same-site"], False), ([""], False),
-        (["none", "cross-site"], False), (["Same-Origin"], False),
+        (["same-origin"], True),
+        (["none"], True),
+        (["cross-site"], False),
+        (["same-site"], False),
+        ([""], False),
+        (["none", "cross-site"], False),
+        (["Same-Origin"], False),
     ],
-)  # fmt: skip
+)
 def test_a_request_that_another_sites_page_makes_is_not_the_persons(sites: list[str], here: bool) -> None:
     said = [("sec-fetch-site", each) for each in sites]
     assert comes_from_here(asked_by("127.0.0.1", *said), ()) is here

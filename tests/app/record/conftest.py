@@ -10,9 +10,17 @@ from config.load import load_library, load_protocol, load_settings, load_tool
 
 def record(path: Path, tissue: str = "liver", cycles: int = 2) -> Path:
     run_protocol(
-        load_tool("simulated"), load_library("porcine"), load_settings(), load_protocol("strong_2hz"), tissue,
-        cycles=cycles, seed=3, real_time=False, record=path, progress=lambda _: None,
-    )  # fmt: skip
+        load_tool("simulated"),
+        load_library("porcine"),
+        load_settings(),
+        load_protocol("strong_2hz"),
+        tissue,
+        cycles=cycles,
+        seed=3,
+        real_time=False,
+        record=path,
+        progress=lambda _: None,
+    )
     return path
 
 

@@ -37,8 +37,12 @@ def played(path: Path) -> None:
 
 
 READERS: tuple[Callable[[Path], object], ...] = (
-    read_run, played, recorded_file, mend, lambda path: list(recorded_messages(path)),
-)  # fmt: skip
+    read_run,
+    played,
+    recorded_file,
+    mend,
+    lambda path: list(recorded_messages(path)),
+)
 
 
 def read_or_told(path: Path, content: bytes) -> None:
@@ -166,11 +170,16 @@ UNSIZED = zstandard.ZstdCompressor(write_content_size=False)
 @pytest.mark.parametrize(
     ("compression", "pack", "claimed"),
     [
-        ("zstd", zstandard.compress, None), ("zstd", zstandard.compress, 1000), ("zstd", UNSIZED.compress, None),
-        ("zstd", UNSIZED.compress, 2**60), ("zstd", UNSIZED.compress, 1000), ("lz4", lz4.frame.compress, 1000),
-        ("lz4", lz4.frame.compress, 0), ("bz2", lambda _: b"", 1000),
+        ("zstd", zstandard.compress, None),
+        ("zstd", zstandard.compress, 1000),
+        ("zstd", UNSIZED.compress, None),
+        ("zstd", UNSIZED.compress, 2**60),
+        ("zstd", UNSIZED.compress, 1000),
+        ("lz4", lz4.frame.compress, 1000),
+        ("lz4", lz4.frame.compress, 0),
+        ("bz2", lambda _: b"", 1000),
     ],
-)  # fmt: skip
+)
 def test_a_chunk_that_becomes_huge_is_told_before_it_takes_the_memory(
     parts, tmp_path: Path, compression: str, pack: Callable[[bytes], bytes], claimed: int | None
 ) -> None:
@@ -195,5 +204,6 @@ def test_a_record_that_claims_a_huge_length_is_told_or_is_where_the_file_ends(
 
 
 def test_the_shipped_way_of_packing_is_read_in_any_size(recorded: Path) -> None:
-    assert all(len(unpack(each)) == each.uncompressed_size for each in Container(recorded).records()
-               if isinstance(each, Chunk))  # fmt: skip
+    assert all(
+        len(unpack(each)) == each.uncompressed_size for each in Container(recorded).records() if isinstance(each, Chunk)
+    )

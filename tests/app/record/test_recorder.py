@@ -58,9 +58,17 @@ def test_no_estimate_is_lost_whichever_comes_first(leads: list[int]) -> None:
 
 RUN_ID = "20261128-120000-001"
 BEGUN = Run(
-    id=RUN_ID, protocol=PROTOCOL.name, cycles=1, tissue="liver", by=None, state=RunState.RUNNING,
-    started_at="2026-11-28T12:00:00+00:00", ended_at=None, why=None, grasps=0,
-)  # fmt: skip
+    id=RUN_ID,
+    protocol=PROTOCOL.name,
+    cycles=1,
+    tissue="liver",
+    by=None,
+    state=RunState.RUNNING,
+    started_at="2026-11-28T12:00:00+00:00",
+    ended_at=None,
+    why=None,
+    grasps=0,
+)
 PATIENCE = 2000  # blocks
 
 

@@ -61,8 +61,9 @@ def test_the_list_comes_at_once_and_knows_more_when_it_is_asked_again(plan: Serv
         first = await shelf.listing()
         assert first.folder == str(plan.recordings_folder)
         assert {(r.name, r.duration_s, r.problem) for r in first.recordings} == {
-            ("broken.lvm", None, None), ("sound.lvm.gz", None, None),
-        }  # fmt: skip
+            ("broken.lvm", None, None),
+            ("sound.lvm.gz", None, None),
+        }
         found = await read(shelf)
         assert found["sound.lvm.gz"].duration_s == pytest.approx(1.75, abs=0.05)
         assert found["sound.lvm.gz"].size_bytes == (plan.recordings_folder / "sound.lvm.gz").stat().st_size
@@ -76,9 +77,20 @@ def test_the_list_comes_at_once_and_knows_more_when_it_is_asked_again(plan: Serv
 
 @pytest.mark.parametrize(
     "name",
-    ["nope.lvm", "", ".", "..", "../outside.lvm", "/etc/passwd", "sub/inner.lvm", "out.lvm", "folder.lvm", "a\0.lvm",
-     "x" * 5000 + ".lvm"],
-)  # fmt: skip
+    [
+        "nope.lvm",
+        "",
+        ".",
+        "..",
+        "../outside.lvm",
+        "/etc/passwd",
+        "sub/inner.lvm",
+        "out.lvm",
+        "folder.lvm",
+        "a\0.lvm",
+        "x" * 5000 + ".lvm",
+    ],
+)
 def test_a_name_never_leaves_the_folder(plan: ServicePlan, name: str) -> None:
     folder = plan.recordings_folder
     (folder / "sub").mkdir()

@@ -39,8 +39,11 @@ def test_it_writes_a_page_and_a_json_and_prints_the_same_json(folder):
     words = [*files, "--tool", "simulated", "--label", f"liver={files[0]}", "--label", "bladder=bladder"]
     done = subprocess.run(
         [PROGRAM, "report", *words, "--out", folder / "two.html", "--json"],
-        capture_output=True, text=True, timeout=120, env={**os.environ, "COLUMNS": "200"},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "COLUMNS": "200"},
+    )
     assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout, parse_constant=lambda word: pytest.fail(f"{word} in the JSON"))
     assert document == json.loads((folder / "two.json").read_text())
@@ -107,7 +110,16 @@ def test_wrong_input_is_refused_in_one_message_and_nothing_is_written(folder, wo
 
 def test_a_recording_without_a_grasp_has_a_page_that_says_so(tmp_path):
     quiet = joined(simulate_raw("liver", "trapezoid_4hz", cycles=1))
-    write_lvm(tmp_path / "quiet.lvm", type(quiet)(0, 0, *(getattr(quiet, name)[:400] for name in (
-        "strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v"))))  # fmt: skip
+    write_lvm(
+        tmp_path / "quiet.lvm",
+        type(quiet)(
+            0,
+            0,
+            *(
+                getattr(quiet, name)[:400]
+                for name in ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
+            ),
+        ),
+    )
     called(tmp_path / "quiet.lvm", "--tool", "simulated", "--out", tmp_path / "quiet.html")
     assert "No grasp was found" in (tmp_path / "quiet.html").read_text()

@@ -98,8 +98,9 @@ def test_tukey_by_hand_for_two_groups_is_a_t_test():
 
 GROUPS = st.lists(
     st.lists(st.floats(-3, 3), min_size=2, max_size=6).filter(lambda values: np.ptp(values) > 0.01),
-    min_size=2, max_size=4,
-)  # fmt: skip
+    min_size=2,
+    max_size=4,
+)
 
 
 @settings(max_examples=12)  # the distribution takes its time

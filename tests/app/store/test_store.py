@@ -8,7 +8,7 @@ from datetime import timedelta
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from messages import BEGIN, alarm, grasp, line, record, run  # fmt: skip
+from messages import BEGIN, alarm, grasp, line, record, run
 from sqlalchemy import URL, delete
 
 from app.store.questions import AlarmQuestion, AuditQuestion, FileQuestion, GraspQuestion, Order, RunQuestion
@@ -115,8 +115,10 @@ def test_grasps_alarms_lines_and_files_are_found(store: Store) -> None:
     assert [each.id for each in store.alarms(AlarmQuestion(run="run-006")).items] == ["disk-1"]
     assert store.alarms(AlarmQuestion(kind="technical", priority="medium", q="FORCE")).total == 1
     assert [each.text for each in store.audit(AuditQuestion(by="P1", order=Order.OLDEST)).items] == [
-        "Run 1", "Run 4", "Run 7",
-    ]  # fmt: skip
+        "Run 1",
+        "Run 4",
+        "Run 7",
+    ]
     assert store.audit(AuditQuestion(kind="alarm")).total == 0
     assert [each.name for each in store.files(FileQuestion(deleted=True)).items] == ["run-002.rec"]
     assert store.files(FileQuestion(deleted=False, q=".REC")).total == 6

@@ -24,10 +24,11 @@ def recording(label, stiffness, seed=0, grasps=9, gap_deg=120.0):
         RecordedGrasp(
             i + 1,
             pressed(stiffness * np.exp(rng.normal(0, 0.1)), gap_deg=gap_deg + rng.normal(0, 4), seed=100 * seed + i),
-            PARAMETERS + rng.normal(0, 0.2, 3), None,
+            PARAMETERS + rng.normal(0, 0.2, 3),
+            None,
         )
         for i in range(grasps)
-    )  # fmt: skip
+    )
     return Recorded(label, f"{label}{seed}.lvm", f"{seed:02x}" * 32, made)
 
 

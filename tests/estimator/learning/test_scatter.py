@@ -18,7 +18,7 @@ def cloud(seed, n=30, centre=0.0):
     sizes=st.lists(st.integers(1, 12), min_size=1, max_size=4),
     seed=st.integers(0, 10_000),
     scale=st.sampled_from([0, 1e-9, 1, 1e6]),
-)  # fmt: skip
+)
 def test_covariances_are_positive_definite_whatever_the_grasps(sizes, seed, scale):
     groups = [scale * cloud(seed + i, n) for i, n in enumerate(sizes)]
     centres, weights, pooled = robust_scatter(groups, FLOOR)

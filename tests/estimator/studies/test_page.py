@@ -9,10 +9,17 @@ from estimator.studies.page import Markup, Table, document, plain, shown, table
 @pytest.mark.parametrize(
     ("value", "told"),
     [
-        (None, "–"), (float("nan"), "–"), (float("inf"), "–"), (0.012345, "0.0123"), (1926.6, "1927"), (3, "3"),
-        ("word", "word"), (-1500.2, "-1500"), (2.5e7, "2.5e+07"),
+        (None, "–"),
+        (float("nan"), "–"),
+        (float("inf"), "–"),
+        (0.012345, "0.0123"),
+        (1926.6, "1927"),
+        (3, "3"),
+        ("word", "word"),
+        (-1500.2, "-1500"),
+        (2.5e7, "2.5e+07"),
     ],
-)  # fmt: skip
+)
 def test_a_value_is_told_with_three_digits_or_those_before_the_point(value, told):
     assert shown(value) == told
 
@@ -35,5 +42,6 @@ def test_a_document_allows_nothing_from_elsewhere_and_says_what_made_it():
 
 def test_plain_is_what_json_can_tell():
     assert plain({1: np.float64(2.0), "a": (np.int64(3), float("nan"), [np.bool_(True)])}) == {
-        "1": 2.0, "a": [3, None, [True]],
-    }  # fmt: skip
+        "1": 2.0,
+        "a": [3, None, [True]],
+    }

@@ -7,15 +7,7 @@ from scipy.optimize import minimize
 from config.load import load_library
 from estimator.bank import Priors
 from estimator.studies.refine import Question, parameter_bound, refine
-from estimator.studies.sine import (
-    GUESS_LOG_SD,
-    BothNoisy,
-    guesses,
-    log_of,
-    our_bank,
-    our_signals,
-    simulate_sine,
-)
+from estimator.studies.sine import GUESS_LOG_SD, BothNoisy, guesses, log_of, our_bank, our_signals, simulate_sine
 
 LIBRARY = load_library("paper_table2")
 SHORT = 600  # samples: the first, slow cycle

@@ -11,10 +11,7 @@ import pytest
 from boards import HAS_DRIVER, ServedBoard
 from service import PROGRAM, Service, until
 
-pytestmark = [
-    pytest.mark.alone,
-    pytest.mark.skipif(HAS_DRIVER, reason="the driver of a real board is installed"),
-]
+pytestmark = [pytest.mark.alone, pytest.mark.skipif(HAS_DRIVER, reason="the driver of a real board is installed")]
 ZERO_MS = 500.0  # a person at the bench waits beside the switch
 
 
@@ -41,9 +38,10 @@ def test_a_calibration_with_tissue_in_the_jaws_is_refused_and_ends_at_zero(board
 def test_whoever_ends_it_in_motion_leaves_the_motor_at_zero(board: ServedBoard, how: signal.Signals) -> None:
     program = subprocess.Popen(
         [PROGRAM, "calibrate", "stretch", "--tool", board.tool_file, "--yes"],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a test in the background may ignore it
-    )  # fmt: skip
+    )
     until(lambda: board.output_v > 0.1)
     struck_ns = time.monotonic_ns()
     os.kill(program.pid, how)

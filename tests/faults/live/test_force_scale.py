@@ -31,8 +31,9 @@ def test_it_moves_only_for_an_admins_reason_which_stands_in_the_journal(tmp_path
                 assert (refused.status_code, "force scale is not measured" in refused.json()["detail"]) == (409, True)
                 operator = ask(path, json=body | WHY, headers=token[Role.OPERATOR])
                 assert (operator.status_code, operator.json()["detail"]) == (
-                    422, "Only an admin may arm a tool whose force scale is not measured.",
-                )  # fmt: skip
+                    422,
+                    "Only an admin may arm a tool whose force scale is not measured.",
+                )
                 assert board.output_v == 0.0
             assert board.peak_force_n == 0.0
             [alarm] = service.http.get("/api/alarms").json()

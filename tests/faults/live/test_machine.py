@@ -63,8 +63,16 @@ def test_a_disk_that_is_full_ends_the_recording_and_not_the_run(tmp_path):
     """A file system of 300 MB that only the service sees, filled to its last byte in the midst of a run."""
     data, settings = tmp_path / "disk", tmp_path / "little.toml"
     data.mkdir()
-    own_disk = ("unshare", "--user", "--map-root-user", "--mount", "sh", "-c",
-                f'mount -t tmpfs -o size=300m tmpfs {data} && exec "$@"', "sh")  # fmt: skip
+    own_disk = (
+        "unshare",
+        "--user",
+        "--map-root-user",
+        "--mount",
+        "sh",
+        "-c",
+        f'mount -t tmpfs -o size=300m tmpfs {data} && exec "$@"',
+        "sh",
+    )
     if subprocess.run([*own_disk, "true"], capture_output=True, check=False).returncode != 0:
         pytest.skip("this system lets nobody mount a file system of his own")
     shipped = (CONFIG_DIR / "graspwatch.toml").read_text()

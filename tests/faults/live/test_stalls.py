@@ -95,8 +95,7 @@ def test_a_run_goes_on_while_another_worker_is_held_up_and_nothing_is_lost(
 
 
 @pytest.mark.parametrize(
-    ("stalled_s", "busy"),
-    lasting((3, False), long=[(3, True), *product((10, 30), (False, True))]),
+    ("stalled_s", "busy"), lasting((3, False), long=[(3, True), *product((10, 30), (False, True))])
 )
 def test_a_run_whose_acquisition_was_held_up_has_failed_with_the_motor_at_zero(service, board, stalled_s, busy):
     pids = pids_of(service)

@@ -13,9 +13,12 @@ def upgrade() -> None:
     with op.batch_alter_table("grasps") as grasps:
         grasps.add_column(sa.Column("held_back", sa.Boolean, nullable=False, server_default=sa.false()))
     table = sa.table(
-        "grasps", sa.column("run_id", sa.String), sa.column("index", sa.Integer),
-        sa.column("held_back", sa.Boolean), sa.column("message", sa.JSON),
-    )  # fmt: skip
+        "grasps",
+        sa.column("run_id", sa.String),
+        sa.column("index", sa.Integer),
+        sa.column("held_back", sa.Boolean),
+        sa.column("message", sa.JSON),
+    )
     connection = op.get_bind()
     for run_id, index, message in connection.execute(sa.select(table.c.run_id, table.c.index, table.c.message)).all():
         if message["grasp"]["held_back"]:
