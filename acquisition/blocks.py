@@ -8,7 +8,7 @@ import numpy as np
 from acquisition.safety import Safety
 
 
-class Flag(IntFlag):
+class SampleFlag(IntFlag):
     """What is known of one sample."""
 
     INVALID = 1  # outside the domain of Eqs. (1) to (6): no jaw signals
@@ -16,14 +16,14 @@ class Flag(IntFlag):
     IN_GRASP = 4  # the command has left zero
     CONTACT = 8  # tissue is held
     CONTACT_SENSED = 16  # a trusted touch sensor says so
-    JAWS_SHUT = 32  # the force rises without motion: not tissue any more
+    JAWS_CLOSED = 32  # the force rises without motion: not tissue any more
     ENCODER_SLIPS = 64  # the encoder lags behind the cable's stretch or walks between grasps
     FILTERED_INVALID = 128  # as INVALID, of the filtered signals alone
-    HELD_BACK = 256  # the limiter keeps the command lower than the protocol asks for
-    LET_GO = 512  # the force passed the limit: no command until the protocol's next grasp
+    LIMITED = 256  # the limiter keeps the command lower than the protocol asks for
+    RELEASED = 512  # the force passed the limit: no command until the protocol's next grasp
 
 
-SAMPLE = np.dtype(
+SAMPLE_DTYPE = np.dtype(
     [
         ("tick", "i8"),
         ("strain_v", "f8"),  # as read

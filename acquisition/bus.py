@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import zmq
 
-from acquisition.blocks import SAMPLE, SampleBlock
+from acquisition.blocks import SAMPLE_DTYPE, SampleBlock
 from acquisition.safety import Safety
 
-MINUTE_OF_BLOCKS = 12_000  # high-water mark: 200 blocks a second for a minute
+HIGH_WATER_MARK = 12_000  # high-water mark: 200 blocks a second for a minute
 
-SAMPLES, ESTIMATES, NOTICE, TOLD = b"samples", b"estimates", b"notice", b"told"
+SAMPLES_TOPIC, ESTIMATES_TOPIC, NOTICE_TOPIC, SERVER_MESSAGE_TOPIC = b"samples", b"estimates", b"notice", b"told"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,13 +28,13 @@ class Endpoints:
 
     samples: str
     estimates: str
-    limits: str
+    thresholds: str
     commands: str
     events: str
     recorder: str
-    guard: str
+    safety_monitor: str
     foxglove: str
-    server: str
+    server_heartbeat: str
     """Signs of life of the server's event loop."""
 
     @classmethod
@@ -43,23 +43,23 @@ class Endpoints:
         return cls(*(f"ipc://{folder}/{each.name}-{tag}" for each in fields(cls)))
 
 
-def fields_of(record: Any) -> dict[str, Any]:
+def shallow_asdict(record: Any) -> dict[str, Any]:
     """The fields of a dataclass by name, as they are; `asdict` copies what is inside them, for ten times as long."""
     return {name: getattr(record, name) for name in record.__dataclass_fields__}
 
 
-def publisher(context: zmq.Context, address: str) -> zmq.Socket:
+def open_publisher(context: zmq.Context, address: str) -> zmq.Socket:
     socket = context.socket(zmq.PUB)
-    socket.setsockopt(zmq.SNDHWM, MINUTE_OF_BLOCKS)
+    socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
     socket.setsockopt(zmq.LINGER, 200)
     socket.bind(address)
     return socket
 
 
-def subscriber(context: zmq.Context, *addresses: str) -> Any:
+def open_subscriber(context: zmq.Context, *addresses: str) -> Any:
     """A socket that takes everything published at the addresses (also of `zmq.asyncio`)."""
     socket = context.socket(zmq.SUB)
-    socket.setsockopt(zmq.RCVHWM, MINUTE_OF_BLOCKS)
+    socket.setsockopt(zmq.RCVHWM, HIGH_WATER_MARK)
     socket.setsockopt(zmq.SUBSCRIBE, b"")
     for address in addresses:
         socket.connect(address)
@@ -69,30 +69,30 @@ def subscriber(context: zmq.Context, *addresses: str) -> Any:
 def pack_samples(block: SampleBlock) -> list[bytes]:
     names = ("sequence", "t_mono_ns", "lost_samples", "run", "safety", "why", "backlog")
     header = {name: getattr(block, name) for name in names}
-    return [SAMPLES, json.dumps(header).encode(), block.samples.tobytes()]
+    return [SAMPLES_TOPIC, json.dumps(header).encode(), block.samples.tobytes()]
 
 
 def unpack_samples(parts: list[bytes]) -> SampleBlock:
     header = json.loads(parts[1])
     safety = Safety(header.pop("safety"))
-    return SampleBlock(**header, safety=safety, samples=np.frombuffer(parts[2], SAMPLE))
+    return SampleBlock(**header, safety=safety, samples=np.frombuffer(parts[2], SAMPLE_DTYPE))
 
 
-def safety_of(parts: list[bytes]) -> Safety:
+def unpack_safety(parts: list[bytes]) -> Safety:
     """Where the tool stands, of a packed block."""
     return Safety(json.loads(parts[1])["safety"])
 
 
 def pack_notice(kind: str, **content: Any) -> list[bytes]:
-    return [NOTICE, json.dumps({"kind": kind, **content}).encode()]
+    return [NOTICE_TOPIC, json.dumps({"kind": kind, **content}).encode()]
 
 
-def pack_told(topic: str, content: bytes) -> list[bytes]:
+def pack_server_message(topic: str, content: bytes) -> list[bytes]:
     """What the server told its viewers, for whoever records it."""
-    return [TOLD, topic.encode(), content]
+    return [SERVER_MESSAGE_TOPIC, topic.encode(), content]
 
 
-def unpack_told(parts: list[bytes]) -> tuple[str, bytes]:
+def unpack_server_message(parts: list[bytes]) -> tuple[str, bytes]:
     return parts[1].decode(), parts[2]
 
 
@@ -100,29 +100,33 @@ def unpack_notice(parts: list[bytes]) -> dict[str, Any]:
     return json.loads(parts[1])
 
 
-class SequenceCounter:
+class SequenceTracker:
     """Counts blocks that never arrived, or came after later ones and are of no use any more."""
 
     def __init__(self) -> None:
-        self._last: int | None = None
+        self._last_sequence: int | None = None
         self._last_ns = 0
         self.missing = 0
 
-    def is_out_of_turn(self, block: SampleBlock) -> bool:
+    def is_out_of_order(self, block: SampleBlock) -> bool:
         """True if a later block came before it, which counted it as missing; those of a restarted sender are newer."""
-        return self._last is not None and block.sequence <= self._last and block.t_mono_ns <= self._last_ns
+        return (
+            self._last_sequence is not None
+            and block.sequence <= self._last_sequence
+            and block.t_mono_ns <= self._last_ns
+        )
 
-    def begins_anew(self, sequence: int) -> bool:
+    def is_restart(self, sequence: int) -> bool:
         """True if the sender was restarted: its blocks are counted from the beginning again."""
-        return self._last is not None and sequence <= self._last
+        return self._last_sequence is not None and sequence <= self._last_sequence
 
-    def take(self, sequence: int, t_mono_ns: int = 0) -> int:
+    def update(self, sequence: int, t_mono_ns: int = 0) -> int:
         """Count and return the blocks missing between the last one and this one, published at `t_mono_ns`."""
         self._last_ns = t_mono_ns
         missing = 0
-        if self._last is not None and not self.begins_anew(sequence):
-            missing = sequence - self._last - 1
-        self._last = sequence
+        if self._last_sequence is not None and not self.is_restart(sequence):
+            missing = sequence - self._last_sequence - 1
+        self._last_sequence = sequence
         self.missing += missing
         return missing
 
@@ -131,7 +135,7 @@ class SequenceCounter:
 
 
 @dataclass(frozen=True, slots=True)
-class ForceLimit:
+class ThresholdUpdate:
     """The injury threshold in force as the estimator knows it at `tick`, N, and whose; None: the library's lowest."""
 
     threshold_n: float
@@ -139,15 +143,15 @@ class ForceLimit:
     tick: int
 
 
-def pack_limit(limit: ForceLimit) -> bytes:
-    return json.dumps(fields_of(limit)).encode()
+def pack_threshold(limit: ThresholdUpdate) -> bytes:
+    return json.dumps(shallow_asdict(limit)).encode()
 
 
-def unpack_limit(message: bytes) -> ForceLimit:
-    return ForceLimit(**json.loads(message))
+def unpack_threshold(message: bytes) -> ThresholdUpdate:
+    return ThresholdUpdate(**json.loads(message))
 
 
-def newest_of(context: zmq.Context, address: str) -> zmq.Socket:
+def open_latest_subscriber(context: zmq.Context, address: str) -> zmq.Socket:
     """A socket that keeps only the newest message published at the address; messages must have one part."""
     socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.CONFLATE, 1)
@@ -160,27 +164,27 @@ def newest_of(context: zmq.Context, address: str) -> zmq.Socket:
 
 
 @dataclass(frozen=True, slots=True)
-class Arm:
+class ArmCommand:
     """Test the tool at rest; the blocks that follow say whether it is armed.
 
     `unmeasured`: why it may be although its force scale is not measured.
     """
 
-    unmeasured: str = ""
+    unmeasured_scale_reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Disarm:
+class DisarmCommand:
     """Motor to zero; nothing starts before the tool is armed again."""
 
 
 @dataclass(frozen=True, slots=True)
-class Acknowledge:
+class AcknowledgeCommand:
     """Somebody has seen the fault that is latched."""
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class StartCommand:
     """Begin a run of a protocol (its JSON); `tissue` for the simulated tool."""
 
     run_id: str
@@ -190,48 +194,51 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class StopCommand:
     """Motor to zero now; ends a run if there is one."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
-class Put:
+class SimulatedLoadCommand:
     """For the simulated tool: a pull on its handle, N, and a gauge between its jaws, m; 0: none, None: tissue again."""
 
     pull_n: float
     gauge_m: float | None
 
 
-Command = Arm | Disarm | Acknowledge | Start | Stop | Put
-_COMMANDS = {kind.__name__.lower(): kind for kind in (Arm, Disarm, Acknowledge, Start, Stop, Put)}
+AnyCommand = ArmCommand | DisarmCommand | AcknowledgeCommand | StartCommand | StopCommand | SimulatedLoadCommand
+_COMMAND_TYPES = {
+    kind.__name__.lower(): kind
+    for kind in (ArmCommand, DisarmCommand, AcknowledgeCommand, StartCommand, StopCommand, SimulatedLoadCommand)
+}
 
 
-def pack_command(command: Command, until_ns: int) -> bytes:
+def pack_command(command: AnyCommand, expires_ns: int) -> bytes:
     """Who sends it waits until `until_ns` of the monotonic clock."""
-    content = {"command": type(command).__name__.lower(), "until_ns": until_ns, **asdict(command)}
+    content = {"command": type(command).__name__.lower(), "until_ns": expires_ns, **asdict(command)}
     return json.dumps(content).encode()
 
 
-def unpack_command(message: bytes) -> Command | None:
+def unpack_command(message: bytes) -> AnyCommand | None:
     """None: nobody waits for it any more. A stop is never too late."""
     content = json.loads(message)
-    kind, until_ns = _COMMANDS[content.pop("command")], content.pop("until_ns")
-    return None if kind is not Stop and time.monotonic_ns() > until_ns else kind(**content)
+    kind, until_ns = _COMMAND_TYPES[content.pop("command")], content.pop("until_ns")
+    return None if kind is not StopCommand and time.monotonic_ns() > until_ns else kind(**content)
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class CommandReply:
     """What became of a command: refused with a reason, or done; `effect` says whether it changed anything."""
 
     refused: str | None = None
     effect: bool = True
 
 
-def pack_answer(answer: Answer) -> bytes:
+def pack_reply(answer: CommandReply) -> bytes:
     return json.dumps(asdict(answer)).encode()
 
 
-def unpack_answer(message: bytes) -> Answer:
-    return Answer(**json.loads(message))
+def unpack_reply(message: bytes) -> CommandReply:
+    return CommandReply(**json.loads(message))

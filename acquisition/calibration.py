@@ -27,7 +27,7 @@ class JawSignals:
     valid: np.ndarray
 
 
-def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSignals:
+def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSignals:
     """Jaw force and displacement from the tared strain voltage and the encoder angle since jaws at rest.
 
     Args:
@@ -91,7 +91,7 @@ def to_jaw(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSign
     return JawSignals(force, displacement, theta_jaw, newton_per_volt, metre_per_volt, valid)
 
 
-def from_jaw(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, float]:
+def compute_sensor_signals(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, float]:
     """Tared strain voltage (V) and encoder angle (degrees) of a jaw force and displacement: inverse of `to_jaw`.
 
     Raises:

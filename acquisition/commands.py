@@ -11,16 +11,16 @@ from itertools import islice
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class AppliedCommand:
     """A motor command, V: off at samples before tick `earliest`, on at those from tick `latest` on, unknown between."""
 
     command_v: float
-    earliest: int
-    latest: int
+    earliest_tick: int
+    latest_tick: int
 
 
 @dataclass(frozen=True, slots=True)
-class Commands:
+class CommandBounds:
     """The commands of consecutive samples, V: the bounds of what may have been on, and what most likely was; flags."""
 
     low_v: list[float]
@@ -28,41 +28,41 @@ class Commands:
     likely_v: list[float]
     flags: list[int]
 
-    def off_by(self, readback_v: list[float]) -> list[float]:
+    def compute_deviations_v(self, readback_v: list[float]) -> list[float]:
         """By how much each read-back is beyond the bounds, V; infinite where it is no number."""
         bounds = zip(readback_v, self.low_v, self.high_v, strict=True)
         return [max(low - v, v - high, 0.0) if math.isfinite(v) else math.inf for v, low, high in bounds]
 
 
 @dataclass(frozen=True, slots=True)
-class SampleCount:
+class SampleCountReading:
     """How many samples a board has taken, as it told last: `count` at a moment between `asked_ns` and `answered_ns`.
 
     From there on the clocks of board and computer count alike: 100 ppm of difference are 0.1 samples in a second.
     """
 
     rate_hz: float
-    asked_ns: int
+    requested_ns: int
     answered_ns: int
     count: int = 0
 
-    def least(self, at_ns: int) -> int:
+    def min_count_at(self, at_ns: int) -> int:
         """At `at_ns`, not before the answer."""
         return self.count + math.floor((at_ns - self.answered_ns) * self.rate_hz / 1e9)
 
-    def most(self, at_ns: int) -> int:
+    def max_count_at(self, at_ns: int) -> int:
         """At `at_ns`, not before the question."""
-        return self.count + math.ceil((at_ns - self.asked_ns) * self.rate_hz / 1e9)
+        return self.count + math.ceil((at_ns - self.requested_ns) * self.rate_hz / 1e9)
 
 
 class CommandHistory:
     """Keeps written commands for as long as samples that were taken under them may come."""
 
     def __init__(self) -> None:
-        self._writes: deque[tuple[Written, int]] = deque([(Written(0.0, 0, 0), 0)])
+        self._writes: deque[tuple[AppliedCommand, int]] = deque([(AppliedCommand(0.0, 0, 0), 0)])
 
     @property
-    def last_v(self) -> float:
+    def last_command_v(self) -> float:
         """The command written last, V."""
         return self._writes[-1][0].command_v
 
@@ -70,25 +70,28 @@ class CommandHistory:
     def last_flags(self) -> int:
         return self._writes[-1][1]
 
-    def add(self, written: Written, flags: int) -> None:
+    def append(self, written: AppliedCommand, flags: int) -> None:
         """Keep a command; `flags` say of it what the limiter did (`Flag`)."""
         before = self._writes[-1][0]
-        earliest, latest = max(written.earliest, before.earliest), max(written.latest, before.latest)
-        self._writes.append((Written(written.command_v, earliest, latest), flags))
+        earliest, latest = (
+            max(written.earliest_tick, before.earliest_tick),
+            max(written.latest_tick, before.latest_tick),
+        )
+        self._writes.append((AppliedCommand(written.command_v, earliest, latest), flags))
 
-    def during(self, first_tick: int, samples: int) -> Commands:
+    def compute_bounds(self, first_tick: int, samples: int) -> CommandBounds:
         """The commands of samples from `first_tick` on; later calls ask for later samples."""
-        commands = Commands([], [], [], [])
+        commands = CommandBounds([], [], [], [])
         for tick in range(first_tick, first_tick + samples):
-            while len(self._writes) > 1 and self._writes[1][0].latest <= tick:
+            while len(self._writes) > 1 and self._writes[1][0].latest_tick <= tick:
                 self._writes.popleft()
             likely, flags = self._writes[0]
             low_v = high_v = likely.command_v
             for written, its_flags in islice(self._writes, 1, None):
-                if written.earliest > tick:
+                if written.earliest_tick > tick:
                     break
                 low_v, high_v = min(low_v, written.command_v), max(high_v, written.command_v)
-                if (written.earliest + written.latest) // 2 <= tick:
+                if (written.earliest_tick + written.latest_tick) // 2 <= tick:
                     likely, flags = written, its_flags
             commands.low_v.append(low_v)
             commands.high_v.append(high_v)

@@ -3,13 +3,13 @@
 import numpy as np
 
 from config.errors import ConfigurationError
-from config.schema import Conditioning
+from config.schema import ConditioningSettings
 
 
-class LowPass:
+class LowPassFilter:
     """Causal Butterworth filter of several channels; begins in steady state at the first sample."""
 
-    def __init__(self, settings: Conditioning, rate_hz: float) -> None:
+    def __init__(self, settings: ConditioningSettings, rate_hz: float) -> None:
         if settings.butterworth_cutoff_hz >= rate_hz / 2:
             raise ConfigurationError(
                 f"conditioning.butterworth_cutoff_hz: {settings.butterworth_cutoff_hz:g} Hz is not below half of the "

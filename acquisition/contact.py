@@ -5,19 +5,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from acquisition.blocks import Flag
+from acquisition.blocks import SampleFlag
 from config.schema import ContactDetection
 
 COMMAND_ON_V = 0.02  # above the single-sample spikes (17 mV) of a command line read back at rest
 COMMAND_ZERO_V = 0.002  # noise of the read-back
-COMMAND_SAMPLES = 5
-BACKDATE_SAMPLES = 64
-SMOOTH_SAMPLES = 8
-TOUCH_SAMPLES = 2
+COMMAND_CONFIRM_SAMPLES = 5
+BACKDATING_SAMPLES = 64
+MEDIAN_SAMPLES = 8
+TOUCH_CONFIRM_SAMPLES = 2
 
 # plain integers: combining enum members costs more than the rest of a sample
-IN_GRASP, CONTACT, CONTACT_SENSED = Flag.IN_GRASP.value, Flag.CONTACT.value, Flag.CONTACT_SENSED.value
-JAWS_SHUT, ENCODER_SLIPS = Flag.JAWS_SHUT.value, Flag.ENCODER_SLIPS.value
+IN_GRASP, CONTACT, CONTACT_SENSED = SampleFlag.IN_GRASP.value, SampleFlag.CONTACT.value, SampleFlag.CONTACT_SENSED.value
+JAWS_CLOSED, ENCODER_SLIPS = SampleFlag.JAWS_CLOSED.value, SampleFlag.ENCODER_SLIPS.value
 
 
 @dataclass(slots=True)
@@ -28,20 +28,20 @@ class _LoadingPoint:
 
 
 @dataclass(slots=True)
-class _Grasp:
+class _GraspState:
     """What is known of the grasp under way."""
 
     index: int
     start_tick: int
     encoder_zero_deg: float
-    known_tick: int  # first sample that is measured from this zero
+    detected_tick: int  # first sample that is measured from this zero
     contact_tick: int = -1
-    wall_tick: int = -1
+    jaw_closure_tick: int = -1
     baseline_v: float = np.inf
-    slips: bool = False
-    rising: int = 0
-    touching: int = 0
-    loading: list[_LoadingPoint] = field(default_factory=list)
+    encoder_slips: bool = False
+    rising_samples: int = 0
+    touching_samples: int = 0
+    loading_points: list[_LoadingPoint] = field(default_factory=list)
 
 
 class GraspTracker:
@@ -55,91 +55,93 @@ class GraspTracker:
 
     def __init__(self, detection: ContactDetection, stretch_deg_per_volt: float) -> None:
         self._detection = detection
-        self._stretch = stretch_deg_per_volt
-        self._recent: deque[tuple[float, float, float]] = deque(maxlen=BACKDATE_SAMPLES)  # command, strain, encoder
-        self._last_strain_v: deque[float] = deque(maxlen=SMOOTH_SAMPLES)
-        self._last_encoder_deg: deque[float] = deque(maxlen=SMOOTH_SAMPLES)
-        self._on = 0
-        self._off = 0
+        self._stretch_deg_per_volt = stretch_deg_per_volt
+        self._recent_samples: deque[tuple[float, float, float]] = deque(
+            maxlen=BACKDATING_SAMPLES
+        )  # command, strain, encoder
+        self._last_strain_v: deque[float] = deque(maxlen=MEDIAN_SAMPLES)
+        self._last_encoder_deg: deque[float] = deque(maxlen=MEDIAN_SAMPLES)
+        self._on_samples = 0
+        self._off_samples = 0
         self.in_grasp = False
-        self.grasp = _Grasp(index=0, start_tick=-1, encoder_zero_deg=0.0, known_tick=0)
+        self.grasp = _GraspState(index=0, start_tick=-1, encoder_zero_deg=0.0, detected_tick=0)
 
     def update(self, tick: int, command_v: float, strain_v: float, encoder_deg: float, touched: bool) -> int:
         """Take one sample (strain tared); returns its flags."""
-        if not self._recent:
+        if not self._recent_samples:
             self.grasp.encoder_zero_deg = encoder_deg
-        self._recent.append((command_v, strain_v, encoder_deg))
+        self._recent_samples.append((command_v, strain_v, encoder_deg))
         self._last_strain_v.append(strain_v)
         self._last_encoder_deg.append(encoder_deg)
-        self._follow_command(tick, command_v)
+        self._track_command(tick, command_v)
         if not self.in_grasp:
             return 0
         grasp = self.grasp
         if grasp.contact_tick < 0:
-            self._look_for_contact(tick, touched)
-        if grasp.contact_tick >= 0 and grasp.wall_tick < 0 and not grasp.slips:
-            self._watch_loading(tick)
+            self._detect_contact(tick, touched)
+        if grasp.contact_tick >= 0 and grasp.jaw_closure_tick < 0 and not grasp.encoder_slips:
+            self._detect_jaw_closure(tick)
         flags = IN_GRASP
         if grasp.contact_tick >= 0:
             flags |= CONTACT | (CONTACT_SENSED if self._detection.touch_trusted else 0)
-        if grasp.wall_tick >= 0:
-            flags |= JAWS_SHUT
-        if grasp.slips:
+        if grasp.jaw_closure_tick >= 0:
+            flags |= JAWS_CLOSED
+        if grasp.encoder_slips:
             flags |= ENCODER_SLIPS
         return flags
 
-    def _follow_command(self, tick: int, command_v: float) -> None:
+    def _track_command(self, tick: int, command_v: float) -> None:
         on = command_v > COMMAND_ON_V
-        self._on = self._on + 1 if on else 0
-        self._off = 0 if on else self._off + 1
-        if not self.in_grasp and self._on >= COMMAND_SAMPLES:
-            self._begin(tick)
-        elif self.in_grasp and self._off >= COMMAND_SAMPLES:
+        self._on_samples = self._on_samples + 1 if on else 0
+        self._off_samples = 0 if on else self._off_samples + 1
+        if not self.in_grasp and self._on_samples >= COMMAND_CONFIRM_SAMPLES:
+            self._begin_grasp(tick)
+        elif self.in_grasp and self._off_samples >= COMMAND_CONFIRM_SAMPLES:
             self.in_grasp = False
 
-    def _begin(self, tick: int) -> None:
+    def _begin_grasp(self, tick: int) -> None:
         """Back-date the grasp to the sample after the last one at zero, and zero the encoder there."""
         start = 0  # samples back
-        for command_v, _, encoder_deg in reversed(self._recent):
+        for command_v, _, encoder_deg in reversed(self._recent_samples):
             if command_v <= COMMAND_ZERO_V:
                 break
             start, encoder_zero = start + 1, encoder_deg
         start -= 1
         walk = abs(encoder_zero - self.grasp.encoder_zero_deg)
         walked = self.grasp.index > 0 and walk > self._detection.walk_deg
-        self.grasp = _Grasp(self.grasp.index + 1, tick - start, encoder_zero, tick, slips=walked)
+        self.grasp = _GraspState(self.grasp.index + 1, tick - start, encoder_zero, tick, encoder_slips=walked)
         self.in_grasp = True
 
-    def _look_for_contact(self, tick: int, touched: bool) -> None:
+    def _detect_contact(self, tick: int, touched: bool) -> None:
         grasp, detection = self.grasp, self._detection
         if detection.touch_trusted:
-            grasp.touching = grasp.touching + 1 if touched else 0
-            if grasp.touching >= TOUCH_SAMPLES:
-                grasp.contact_tick = max(tick - TOUCH_SAMPLES + 1, grasp.known_tick)
+            grasp.touching_samples = grasp.touching_samples + 1 if touched else 0
+            if grasp.touching_samples >= TOUCH_CONFIRM_SAMPLES:
+                grasp.contact_tick = max(tick - TOUCH_CONFIRM_SAMPLES + 1, grasp.detected_tick)
             return
-        strain_v, _ = self._smoothed()
+        strain_v, _ = self._compute_medians()
         grasp.baseline_v = min(grasp.baseline_v, strain_v)
-        rises = self._recent[-1][1] > grasp.baseline_v + detection.force_rise_v
-        grasp.rising = grasp.rising + 1 if rises else 0
-        if grasp.rising >= detection.force_rise_samples:
-            grasp.contact_tick = max(tick - self._samples_since_onset(), grasp.known_tick)
+        rises = self._recent_samples[-1][1] > grasp.baseline_v + detection.force_rise_v
+        grasp.rising_samples = grasp.rising_samples + 1 if rises else 0
+        if grasp.rising_samples >= detection.force_rise_samples:
+            grasp.contact_tick = max(tick - self._count_samples_since_onset(), grasp.detected_tick)
 
-    def _samples_since_onset(self) -> int:
+    def _count_samples_since_onset(self) -> int:
         """How many of the last samples lie above half the rise that tells contact."""
         onset_v = self.grasp.baseline_v + self._detection.force_rise_v / 2
         count = 0
-        for _, strain_v, _ in reversed(self._recent):
+        for _, strain_v, _ in reversed(self._recent_samples):
             if strain_v <= onset_v:
                 break
             count += 1
         return count
 
-    def _watch_loading(self, tick: int) -> None:
+    def _detect_jaw_closure(self, tick: int) -> None:
         """Compare the encoder's advance with the cable's stretch over the last rise of strain."""
         grasp, detection = self.grasp, self._detection
-        strain_v, encoder_deg = self._smoothed()
+        strain_v, encoder_deg = self._compute_medians()
         step_v = detection.wall_span_v / 4
-        points = grasp.loading
+        points = grasp.loading_points
         if points and strain_v < points[-1].strain_v - step_v:
             points.clear()  # unloading
         if points and strain_v < points[-1].strain_v + step_v:
@@ -149,12 +151,12 @@ class GraspTracker:
             return
         first = points[-5]
         slope = (encoder_deg - first.encoder_deg) / (strain_v - first.strain_v)
-        if slope < self._stretch * detection.slip_share:
-            grasp.slips = True
-        elif slope < self._stretch + detection.wall_slack_deg_per_volt:
-            grasp.wall_tick = first.tick
+        if slope < self._stretch_deg_per_volt * detection.slip_share:
+            grasp.encoder_slips = True
+        elif slope < self._stretch_deg_per_volt + detection.wall_slack_deg_per_volt:
+            grasp.jaw_closure_tick = first.tick
 
-    def _smoothed(self) -> tuple[float, float]:
+    def _compute_medians(self) -> tuple[float, float]:
         """Medians of the last few strain and encoder samples: single-sample spikes do not count."""
         middle = len(self._last_strain_v) // 2
         return sorted(self._last_strain_v)[middle], sorted(self._last_encoder_deg)[middle]

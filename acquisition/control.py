@@ -4,33 +4,35 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from acquisition.blocks import Flag, SampleBlock
-from acquisition.commands import CommandHistory, Commands
-from acquisition.limiter import HoldBack, middle_of, most_after, why_stop
-from acquisition.pipeline import Pipeline
+from acquisition.blocks import SampleBlock, SampleFlag
+from acquisition.commands import CommandBounds, CommandHistory
+from acquisition.limiter import ForceLimiter, compute_finite_median, compute_max_next_command, find_stop_reason
+from acquisition.pipeline import ConditioningPipeline
 from acquisition.protocol import ProtocolPlayer
-from acquisition.safety import IN_RUN, MOVING, WATCHED, Event, Safety, after
+from acquisition.safety import MONITORED_STATES, MOTOR_ACTIVE_STATES, RUN_STATES, Safety, SafetyEvent, next_state
 from acquisition.selftest import SelfTest
-from acquisition.source import Source
-from acquisition.watch import SensorWatch
+from acquisition.source import SampleSource
+from acquisition.watch import SensorMonitor
 from config.errors import RefusedError
-from config.schema import Conditioning, Protocol, Tool
+from config.schema import ConditioningSettings, GraspProtocol, Tool
 
-ASTRAY_V = 0.25
-ASTRAY_S = 0.09  # by the board's clock; less may be a line that settles, or a driver that counts in bursts
-PROMPT_S = 0.01  # a reader this far behind its board is none that lags
-MOST_BEHIND_S = 1.0  # further behind, nobody knows the force
-HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
+READBACK_TOLERANCE_V = 0.25
+MAX_READBACK_MISMATCH_S = (
+    0.09  # by the board's clock; less may be a line that settles, or a driver that counts in bursts
+)
+PROMPT_READ_S = 0.01  # a reader this far behind its board is none that lags
+MAX_BACKLOG_S = 1.0  # further behind, nobody knows the force
+LIMITED, RELEASED = SampleFlag.LIMITED.value, SampleFlag.RELEASED.value
 
 
-SCALE_UNKNOWN = (
+SCALE_UNKNOWN_TEXT = (
     "The tool's force scale is not measured, so its newtons may be wrong by a large factor. Measure it and state it "
     "under [calibration.jaw_force_scale] in the tool file, or have an admin arm the tool with a reason "
     "(`unmeasured_scale`)."
 )
 
 
-class RunEnd(StrEnum):
+class RunOutcome(StrEnum):
     """How a run ended."""
 
     FINISHED = "finished"
@@ -39,26 +41,26 @@ class RunEnd(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class RunEnded:
+class EndedRun:
     run_id: str
-    end: RunEnd
+    end: RunOutcome
     why: str
 
 
-def let_go_text(why: str) -> str:
+def describe_release(why: str) -> str:
     """What is told of a grasp that the limiter let go."""
     return f"The grasp was let go with the motor at zero: {why}."
 
 
-class Acquisition:
+class AcquisitionController:
     """Drives one source. The motor moves only while a run plays its protocol; `safety` says where the tool stands."""
 
     def __init__(
         self,
-        source: Source,
+        source: SampleSource,
         tool: Tool,
-        conditioning: Conditioning,
-        hold_back: HoldBack | None = None,
+        conditioning: ConditioningSettings,
+        limiter: ForceLimiter | None = None,
         safety: Safety = Safety.DISARMED,
         why: str = "",
     ) -> None:
@@ -69,29 +71,31 @@ class Acquisition:
         """
         self._source = source
         self._tool = tool
-        self._pipeline = Pipeline(tool, conditioning)
-        self._watch = SensorWatch(tool)
+        self._pipeline = ConditioningPipeline(tool, conditioning)
+        self._sensor_monitor = SensorMonitor(tool)
         self._self_test = SelfTest(tool)
         self.safety, self.why = safety, why
         self._player: ProtocolPlayer | None = None
         self._run_id = ""
-        self._ended: list[RunEnded] = []
-        self._untested = "the tool did not stay at rest for long enough: try again"  # why not, when it was last judged
-        self._hold_back = hold_back
-        self._held = 0  # HELD_BACK and LET_GO, of the command that is written next
-        self._let_go: list[str] = []
+        self._ended_runs: list[EndedRun] = []
+        self._test_failure = (
+            "the tool did not stay at rest for long enough: try again"  # why not, when it was last judged
+        )
+        self._limiter = limiter
+        self._limiter_flags = 0  # HELD_BACK and LET_GO, of the command that is written next
+        self._release_reasons: list[str] = []
         rate_hz = tool.board.sample_rate_hz
-        self._prompt_samples, self._most_backlog = round(PROMPT_S * rate_hz), round(MOST_BEHIND_S * rate_hz)
-        self._commands = CommandHistory()
-        self._behind = 0  # samples that the reader has to catch up
-        self._astray_most = round(ASTRAY_S * rate_hz)
-        self._astray = 0  # samples in a row whose command was read back wrong
+        self._prompt_backlog, self._max_backlog = round(PROMPT_READ_S * rate_hz), round(MAX_BACKLOG_S * rate_hz)
+        self._command_history = CommandHistory()
+        self._backlog_samples = 0  # samples that the reader has to catch up
+        self._max_mismatched_samples = round(MAX_READBACK_MISMATCH_S * rate_hz)
+        self._mismatched_samples = 0  # samples in a row whose command was read back wrong
 
     @property
     def running(self) -> bool:
         return self._player is not None
 
-    def arm(self, unmeasured: str = "") -> None:
+    def arm(self, unmeasured_scale_reason: str = "") -> None:
         """Begin the self-test; the tool is armed by one of the next turns, or disarmed again for the reason in `why`.
 
         The strain gage is tared anew with it. A tool that is armed stays so. `unmeasured` is the reason for which a
@@ -100,15 +104,15 @@ class Acquisition:
         Raises:
             RefusedError: a run is under way, a fault is latched, or the force scale is not measured.
         """
-        if not (self._tool.has_known_scale or unmeasured):
-            raise RefusedError(SCALE_UNKNOWN)
-        if self._happens(Event.ARM):
-            self._self_test.begin()
-            self._tare_anew()
+        if not (self._tool.has_known_scale or unmeasured_scale_reason):
+            raise RefusedError(SCALE_UNKNOWN_TEXT)
+        if self._apply_event(SafetyEvent.ARM):
+            self._self_test.start()
+            self._restart_tare()
 
     def disarm(self) -> None:
         """Motor to zero; nothing starts before the tool is armed again."""
-        self._end_run(Event.DISARM, RunEnd.STOPPED, "the tool was disarmed")
+        self._end_run(SafetyEvent.DISARM, RunOutcome.STOPPED, "the tool was disarmed")
 
     def acknowledge(self) -> None:
         """Somebody has seen the fault.
@@ -116,63 +120,63 @@ class Acquisition:
         Raises:
             RefusedError: there is none.
         """
-        self._happens(Event.ACKNOWLEDGE)
+        self._apply_event(SafetyEvent.ACKNOWLEDGE)
 
-    def start(self, run_id: str, protocol: Protocol, cycles: int) -> None:
+    def start(self, run_id: str, protocol: GraspProtocol, cycles: int) -> None:
         """Begin a run: everything is measured anew, and the strain gage is tared during the protocol's lead-in.
 
         Raises:
             RefusedError: the tool is not armed, a run is under way, or the protocol passes the tool's limits.
         """
-        after(self.safety, Event.START)  # a tool that is not armed is the first thing to know of
+        next_state(self.safety, SafetyEvent.START)  # a tool that is not armed is the first thing to know of
         player = ProtocolPlayer(protocol, self._tool, cycles)
-        self._happens(Event.START)
+        self._apply_event(SafetyEvent.START)
         self._run_id, self._player = run_id, player
 
-    def allow(self, threshold_n: float, tick: int) -> None:
+    def set_threshold(self, threshold_n: float, tick: int) -> None:
         """The injury threshold in force as the samples up to `tick` tell it, N; it counts until it expires."""
-        if self._hold_back is not None:
-            self._hold_back.allow(threshold_n, tick)
+        if self._limiter is not None:
+            self._limiter.set_threshold(threshold_n, tick)
 
     def stop(self, why: str) -> bool:
         """Motor to zero at once, whatever else is the case; returns whether a run was ended by it."""
-        return self._end_run(Event.STOP, RunEnd.STOPPED, why)
+        return self._end_run(SafetyEvent.STOP, RunOutcome.STOPPED, why)
 
-    def begin_anew(self, why: str) -> None:
+    def restart_after_reopen(self, why: str) -> None:
         """Go on with a board that had to be opened again: a run has failed, and the tool has to be armed again."""
-        self._commands, self._behind = CommandHistory(), 0
+        self._command_history, self._backlog_samples = CommandHistory(), 0
         if self.running:
             self.fail(why)
         self.disarm()
         if self.safety is Safety.DISARMED:
             self.why = why
-        self._tare_anew()
+        self._restart_tare()
 
     def fail(self, why: str) -> None:
         """Motor to zero at once; nothing starts before somebody has acknowledged this fault."""
-        self._end_run(Event.FAULT, RunEnd.FAILED, why)
+        self._end_run(SafetyEvent.FAULT, RunOutcome.FAILED, why)
         self.why = why
 
-    def _end_run(self, event: Event, end: RunEnd, why: str) -> bool:
-        self._held = 0
-        if self._hold_back is not None:
-            self._hold_back.rest()
-        self._write(0.0)
-        self._happens(event)
+    def _end_run(self, event: SafetyEvent, end: RunOutcome, why: str) -> bool:
+        self._limiter_flags = 0
+        if self._limiter is not None:
+            self._limiter.reset_limit()
+        self._write_command(0.0)
+        self._apply_event(event)
         if not self.running:
             return False
         self._player = None
-        self._ended.append(RunEnded(self._run_id, end, why))
+        self._ended_runs.append(EndedRun(self._run_id, end, why))
         return True
 
-    def _happens(self, event: Event) -> bool:
+    def _apply_event(self, event: SafetyEvent) -> bool:
         """Returns whether the tool stands elsewhere now."""
-        before, self.safety = self.safety, after(self.safety, event)
-        if before is not self.safety and event is not Event.FAULT:
+        before, self.safety = self.safety, next_state(self.safety, event)
+        if before is not self.safety and event is not SafetyEvent.FAULT:
             self.why = ""
         return before is not self.safety
 
-    def turn(self) -> SampleBlock | None:
+    def process_block(self) -> SampleBlock | None:
         """Read and condition the next block and set the command that follows it; None at a recording's end.
 
         Raises:
@@ -181,108 +185,115 @@ class Acquisition:
         raw = self._source.read_block()
         if raw is None:
             return None
-        if self.running and self._player.begins:
-            self._watch.begin_anew()  # with the tare
-        commands = self._commands.during(raw.first_tick, len(raw))
-        limit_n = self._hold_back.limit_n if self._hold_back else math.nan
+        if self.running and self._player.at_start:
+            self._sensor_monitor.reset()  # with the tare
+        commands = self._command_history.compute_bounds(raw.first_tick, len(raw))
+        limit_n = self._limiter.limit_n if self._limiter else math.nan
         run_id = self._run_id if self.running else ""
-        block = self._pipeline.process(replace(raw, limiter=commands.flags, limit_n=limit_n, run=run_id))
-        caught_up = self._caught_up(raw.backlog)
-        self._self_test.take(block.samples)
+        block = self._pipeline.process(replace(raw, limiter_flags=commands.flags, limit_n=limit_n, run=run_id))
+        caught_up = self._count_caught_up(raw.backlog)
+        self._self_test.append(block.samples)
         tare = self._pipeline.tare
-        lost = self._watch.judge(block.samples, tare.rest_v if tare.measured else math.nan)
+        lost = self._sensor_monitor.check(block.samples, tare.rest_v if tare.measured else math.nan)
         if self.safety is Safety.TESTING:
-            self._test(lost)
-        elif self.safety in WATCHED and (why := lost or self._why_stop(block, commands)):
+            self._continue_self_test(lost)
+        elif self.safety in MONITORED_STATES and (why := lost or self._find_stop_reason(block, commands)):
             self.fail(why)
         elif self._player is not None:
             if self._player.done:
-                self._end_run(Event.FINISH, RunEnd.FINISHED, "all cycles are done")
+                self._end_run(SafetyEvent.FINISH, RunOutcome.FINISHED, "all cycles are done")
             else:
-                self._move(block, commands.likely_v, self._player.advance(len(raw) - caught_up))
+                self._write_next_command(block, commands.likely_v, self._player.next_command(len(raw) - caught_up))
         return replace(block, safety=self.safety, why=self.why)
 
-    def _test(self, lost: str | None) -> None:
+    def _continue_self_test(self, sensor_fault: str | None) -> None:
         """Pass once a tare was taken while the tool was sound and at rest; fail when that takes too long."""
-        if why := self._self_test.fault() or lost:
-            self._untested = why
-            self._tare_anew()
+        if why := self._self_test.find_fault() or sensor_fault:
+            self._test_failure = why
+            self._restart_tare()
         elif self._pipeline.tare.measured:
-            self._happens(Event.TEST_PASSED)
-        if self.safety is Safety.TESTING and self._self_test.over:
-            self._happens(Event.TEST_FAILED)
-            self.why = self._untested
+            self._apply_event(SafetyEvent.TEST_PASSED)
+        if self.safety is Safety.TESTING and self._self_test.timed_out:
+            self._apply_event(SafetyEvent.TEST_FAILED)
+            self.why = self._test_failure
 
-    def _tare_anew(self) -> None:
-        self._pipeline.tare_anew()
-        self._watch.begin_anew()
+    def _restart_tare(self) -> None:
+        self._pipeline.restart_tare()
+        self._sensor_monitor.reset()
 
-    def _caught_up(self, backlog: int) -> int:
+    def _count_caught_up(self, backlog: int) -> int:
         """Samples of the last block, at most, that only made up for a delay of the reader.
 
         The protocol stands still for as many: it goes no faster than time, whatever was held up.
         """
-        before, self._behind = self._behind, max(backlog - self._prompt_samples, 0)
-        return min(max(before - self._behind, 0), self._tool.board.block_samples)
+        before, self._backlog_samples = self._backlog_samples, max(backlog - self._prompt_backlog, 0)
+        return min(max(before - self._backlog_samples, 0), self._tool.board.block_samples)
 
-    def _why_stop(self, block: SampleBlock, commands: Commands) -> str | None:
+    def _find_stop_reason(self, block: SampleBlock, commands: CommandBounds) -> str | None:
         """What forbids the motor to go on, of a run."""
-        if self.safety not in IN_RUN:
+        if self.safety not in RUN_STATES:
             return None
-        return why_stop(self._tool, block.samples) or self._why_not_move(block, commands)
+        return find_stop_reason(self._tool, block.samples) or self._find_motion_fault(block, commands)
 
-    def _move(self, block: SampleBlock, commands_v: list[float], wanted_v: float) -> None:
+    def _write_next_command(self, block: SampleBlock, applied_v: list[float], requested_v: float) -> None:
         """Write what the protocol asks for, or as much as the limiter allows after a block taken under `commands_v`."""
-        if self._hold_back is None:
-            self._write(wanted_v)
+        if self._limiter is None:
+            self._write_command(requested_v)
             return
-        was_let_go = self._hold_back.why_let_go
-        command_v, self._held = self._hold_back.judge(block.samples, commands_v, wanted_v)
-        self._happens(_event_of(self._held))
-        self._write(command_v)
-        if (why := self._hold_back.why_let_go) and not was_let_go:
-            self._let_go.append(why)
+        was_let_go = self._limiter.release_reason
+        command_v, self._limiter_flags = self._limiter.limit_command(block.samples, applied_v, requested_v)
+        self._apply_event(_event_from_flags(self._limiter_flags))
+        self._write_command(command_v)
+        if (why := self._limiter.release_reason) and not was_let_go:
+            self._release_reasons.append(why)
 
-    def _why_not_move(self, block: SampleBlock, commands: Commands) -> str | None:
+    def _find_motion_fault(self, block: SampleBlock, commands: CommandBounds) -> str | None:
         """What forbids the motor to start or to go on: no tare, samples read too late, a command not read back."""
         tare, calibration = self._pipeline.tare, self._tool.calibration
-        if self._player and not self._player.at_rest and not tare.measured:
+        if self._player and not self._player.in_lead_in and not tare.measured:
             seen_v = float(block.samples["strain_v"].mean())
             return (
                 f"the strain gage rests at {seen_v:.3f} V, the tool file expects {calibration.rest_offset_v:.3f} V "
                 f"within {calibration.rest_tolerance_v:.3f} V: it was not tared"
             )
-        if block.backlog > self._most_backlog:
+        if block.backlog > self._max_backlog:
             late_s = block.backlog / self._tool.board.sample_rate_hz
             return f"the samples were read {late_s:.1f} s late: the force is not known; end other programs"
-        off_v = middle_of(commands.off_by(block.samples["motor_command_v"].tolist()))
-        is_astray = off_v is None or off_v > ASTRAY_V
-        self._astray = self._astray + len(block.samples) if is_astray else 0
-        if self._astray >= self._astray_most:
+        off_v = compute_finite_median(commands.compute_deviations_v(block.samples["motor_command_v"].tolist()))
+        is_astray = off_v is None or off_v > READBACK_TOLERANCE_V
+        self._mismatched_samples = self._mismatched_samples + len(block.samples) if is_astray else 0
+        if self._mismatched_samples >= self._max_mismatched_samples:
             off = "as no number" if off_v is None else f"{off_v:.2f} V off"
             return f"the motor command of {commands.likely_v[-1]:.2f} V is read back {off}: check its wiring"
         return None
 
-    def _write(self, command_v: float) -> None:
+    def _write_command(self, command_v: float) -> None:
         """Set the command, or as much of it as may follow the last one; down it goes at once."""
-        most_v = most_after(self._commands.last_v, self._tool) if self.safety in MOVING else 0.0
+        most_v = (
+            compute_max_next_command(self._command_history.last_command_v, self._tool)
+            if self.safety in MOTOR_ACTIVE_STATES
+            else 0.0
+        )
         command_v = min(command_v, most_v)
-        if (command_v, self._held) != (self._commands.last_v, self._commands.last_flags) or command_v == 0.0:
-            self._commands.add(self._source.write_command(command_v), self._held)
+        if (command_v, self._limiter_flags) != (
+            self._command_history.last_command_v,
+            self._command_history.last_flags,
+        ) or command_v == 0.0:
+            self._command_history.append(self._source.write_command(command_v), self._limiter_flags)
 
-    def take_ended(self) -> list[RunEnded]:
+    def pop_ended_runs(self) -> list[EndedRun]:
         """Runs that ended since the last call."""
-        ended, self._ended = self._ended, []
+        ended, self._ended_runs = self._ended_runs, []
         return ended
 
-    def take_let_go(self) -> list[str]:
+    def pop_release_reasons(self) -> list[str]:
         """Why grasps were let go since the last call, the motor at zero for the rest of each."""
-        let_go, self._let_go = self._let_go, []
+        let_go, self._release_reasons = self._release_reasons, []
         return let_go
 
 
-def _event_of(held: int) -> Event:
+def _event_from_flags(limiter_flags: int) -> SafetyEvent:
     """What the limiter's flags mean."""
-    if held & LET_GO:
-        return Event.LET_GO
-    return Event.HOLD_BACK if held & HELD_BACK else Event.RELEASE
+    if limiter_flags & RELEASED:
+        return SafetyEvent.RELEASE_GRASP
+    return SafetyEvent.LIMIT_FORCE if limiter_flags & LIMITED else SafetyEvent.RESUME

@@ -11,63 +11,63 @@ from dataclasses import dataclass
 import zmq
 
 from acquisition import bus
-from acquisition.nidaq import check_driver, reset_device
-from acquisition.process import become_worker, take_realtime
-from acquisition.safety import IN_RUN
+from acquisition.nidaq import read_driver_version, reset_device
+from acquisition.process import apply_realtime, initialize_worker
+from acquisition.safety import RUN_STATES
 from config.errors import ToolError
-from config.schema import Realtime, Tool
+from config.schema import RealtimeSettings, Tool
 
 REALTIME_PRIORITY = 70
 """Less than the acquisition's: a guard that runs wild must not make it late."""
-LOOKS_EVERY_MS = 10
-SILENT_LOOKS = 6
+POLL_INTERVAL_MS = 10
+SILENT_POLLS = 6
 """So often in a row nothing came: 60 to 70 ms. Counted in looks, as a guard that was held up itself knows nothing."""
-SAYS_EVERY_S = 0.1
-AGAIN_LOOKS = 5  # after a reset that failed
-STRETCH_US = 100_000
+REPORT_INTERVAL_S = 0.1
+RETRY_POLLS = 5  # after a reset that failed
+CPU_BURST_US = 100_000
 """The guard only waits: if it computes for so long, it runs wild, and an alarm is due within half a second."""
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class SafetyMonitorSetup:
     """All that the guard needs to know."""
 
     parent_pid: int
     endpoints: bus.Endpoints
     tool: Tool
-    realtime: Realtime
+    realtime: RealtimeSettings
 
 
-def main(setup: Setup) -> None:
+def main(setup: SafetyMonitorSetup) -> None:
     """Run until a signal."""
-    stop = become_worker("guard", setup.parent_pid)
+    stop = initialize_worker("guard", setup.parent_pid)
     context = zmq.Context()
-    blocks = bus.subscriber(context, setup.endpoints.samples)
-    publisher = bus.publisher(context, setup.endpoints.guard)
-    check_driver(setup.tool)  # and with it connect, so that a reset is quick
-    granted = take_realtime(setup.realtime, REALTIME_PRIORITY, place=1, stretch_us=STRETCH_US)
+    blocks = bus.open_subscriber(context, setup.endpoints.samples)
+    publisher = bus.open_publisher(context, setup.endpoints.safety_monitor)
+    read_driver_version(setup.tool)  # and with it connect, so that a reset is quick
+    granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=1, cpu_burst_us=CPU_BURST_US)
     in_run, silent, said_s = False, 0, 0.0
     try:
-        while in_run or not stop.set:
-            if time.monotonic() - said_s > SAYS_EVERY_S:
+        while in_run or not stop.is_set:
+            if time.monotonic() - said_s > REPORT_INTERVAL_S:
                 said_s = time.monotonic()
                 granted.priority.renew()
                 publisher.send_multipart(bus.pack_notice("guarding", realtime=str(granted)))
-            if blocks.poll(LOOKS_EVERY_MS):
+            if blocks.poll(POLL_INTERVAL_MS):
                 parts = blocks.recv_multipart()
-                if parts[0] == bus.SAMPLES:
-                    in_run, silent = bus.safety_of(parts) in IN_RUN, 0
+                if parts[0] == bus.SAMPLES_TOPIC:
+                    in_run, silent = bus.unpack_safety(parts) in RUN_STATES, 0
                 elif bus.unpack_notice(parts)["kind"] == "run_ended":
                     in_run = False
             elif in_run:
                 silent += 1
-                if silent >= SILENT_LOOKS:
-                    in_run, silent = not _zero(setup.tool, publisher), SILENT_LOOKS - AGAIN_LOOKS
+                if silent >= SILENT_POLLS:
+                    in_run, silent = not _reset_to_zero(setup.tool, publisher), SILENT_POLLS - RETRY_POLLS
     finally:
         context.destroy(linger=200)
 
 
-def _zero(tool: Tool, publisher: zmq.Socket) -> bool:
+def _reset_to_zero(tool: Tool, publisher: zmq.Socket) -> bool:
     """Reset the device, and tell what came of it; returns whether the motor is at zero."""
     begin_s = time.monotonic()
     try:
@@ -76,7 +76,7 @@ def _zero(tool: Tool, publisher: zmq.Socket) -> bool:
         publisher.send_multipart(bus.pack_notice("not_zeroed", text=str(error)))
         return False
     took_ms = (time.monotonic() - begin_s) * 1e3
-    silent_ms = SILENT_LOOKS * LOOKS_EVERY_MS
+    silent_ms = SILENT_POLLS * POLL_INTERVAL_MS
     text = f"The acquisition was silent for {silent_ms} ms: the motor is at zero by a reset that took {took_ms:.0f} ms"
     publisher.send_multipart(bus.pack_notice("zeroed", text=text))
     return True

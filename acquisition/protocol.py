@@ -3,13 +3,13 @@
 import numpy as np
 
 from config.errors import RefusedError
-from config.schema import CommandToForce, Custom, Protocol, Sine, Tool, Trapezoid
+from config.schema import CommandToForce, CustomWaveform, GraspProtocol, SineWaveform, Tool, TrapezoidWaveform
 
-SHORTEST_GRASP_SAMPLES = 20
-ROUNDING = 1e-9
+MIN_GRASP_SAMPLES = 20
+ROUNDING_TOLERANCE = 1e-9
 
 
-def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
+def command_cycle(protocol: GraspProtocol, tool: Tool) -> np.ndarray:
     """One grasp and its rest as motor command at the tool's sample rate, V, shape (n,); begins and ends at 0.
 
     Raises:
@@ -22,19 +22,19 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
             f"One cycle of {protocol.name!r} takes {waveform.cycle_s:.3g} s; the tool {tool.name!r} allows at most "
             f"{tool.limits.max_run_s:.0f} s. Shorten it or choose another protocol."
         )
-    if waveform.grasp_s * rate_hz < SHORTEST_GRASP_SAMPLES:
+    if waveform.grasp_s * rate_hz < MIN_GRASP_SAMPLES:
         raise RefusedError(
             f"A grasp of {protocol.name!r} takes {waveform.grasp_s:.3g} s, which is too short to be followed at "
-            f"{rate_hz:.0f} samples a second. Make it at least {SHORTEST_GRASP_SAMPLES / rate_hz:.3g} s."
+            f"{rate_hz:.0f} samples a second. Make it at least {MIN_GRASP_SAMPLES / rate_hz:.3g} s."
         )
     time_s = np.arange(round(waveform.cycle_s * rate_hz)) / rate_hz
     match waveform:
-        case Trapezoid():
+        case TrapezoidWaveform():
             corners = np.cumsum([0.0, waveform.ramp_up_s, waveform.hold_s, waveform.ramp_down_s])
             command = np.interp(time_s, corners, [0.0, waveform.peak_v, waveform.peak_v, 0.0])
-        case Custom():
+        case CustomWaveform():
             command = np.interp(time_s, waveform.time_s, waveform.command_v)
-        case Sine():
+        case SineWaveform():
             command = _sine_command(waveform, tool.command_to_force, time_s)
     if not np.isfinite(command).all():
         raise RefusedError(
@@ -48,7 +48,7 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
             f"{tool.limits.max_command_v:.2f} V. Lower its peak or choose another protocol."
         )
     fastest_v_per_s = float(np.diff(command).max()) * rate_hz
-    if fastest_v_per_s > tool.limits.max_command_v_per_s * (1 + ROUNDING):
+    if fastest_v_per_s > tool.limits.max_command_v_per_s * (1 + ROUNDING_TOLERANCE):
         raise RefusedError(
             f"Protocol {protocol.name!r} rises by {fastest_v_per_s:.1f} V/s; the tool {tool.name!r} allows at most "
             f"{tool.limits.max_command_v_per_s:.1f} V/s. Make its ramps longer or lower, or choose another protocol."
@@ -56,19 +56,19 @@ def command_cycle(protocol: Protocol, tool: Tool) -> np.ndarray:
     return command
 
 
-def _sine_command(waveform: Sine, command_to_force: CommandToForce, time_s: np.ndarray) -> np.ndarray:
+def _sine_command(waveform: SineWaveform, command_to_force: CommandToForce, time_s: np.ndarray) -> np.ndarray:
     """The command for a raised cosine of force: A/2 (1 - cos 2 pi f t), first slow, then fast."""
     first_s = 1.0 / waveform.first_hz
     with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses what is no number
         cycles = np.where(time_s < first_s, time_s * waveform.first_hz, (time_s - first_s) * waveform.then_hz)
         force = waveform.peak_n / 2 * (1 - np.cos(2 * np.pi * cycles))
-    return np.where(time_s < waveform.grasp_s, command_to_force.command(force), 0.0)
+    return np.where(time_s < waveform.grasp_s, command_to_force.to_command_v(force), 0.0)
 
 
 class ProtocolPlayer:
     """Plays a protocol a number of times, one command a call; `done` after the last rest."""
 
-    def __init__(self, protocol: Protocol, tool: Tool, cycles: int) -> None:
+    def __init__(self, protocol: GraspProtocol, tool: Tool, cycles: int) -> None:
         cycle = command_cycle(protocol, tool)
         lead_in = round(protocol.lead_in_s * tool.board.sample_rate_hz)
         duration_s = (lead_in + cycles * len(cycle)) / tool.board.sample_rate_hz
@@ -79,30 +79,30 @@ class ProtocolPlayer:
                 field="cycles",
             )
         self._cycle, self._lead_in, self._cycles = cycle, lead_in, cycles
-        self._at = 0
+        self._position = 0
 
     @property
-    def samples(self) -> int:
+    def total_samples(self) -> int:
         """In all, the lead-in included."""
         return self._lead_in + self._cycles * len(self._cycle)
 
     @property
-    def begins(self) -> bool:
+    def at_start(self) -> bool:
         """Whether nothing has been played yet."""
-        return self._at == 0
+        return self._position == 0
 
     @property
-    def at_rest(self) -> bool:
+    def in_lead_in(self) -> bool:
         """Whether the lead-in is still going on."""
-        return self._at < self._lead_in
+        return self._position < self._lead_in
 
     @property
     def done(self) -> bool:
-        return self._at >= self.samples
+        return self._position >= self.total_samples
 
-    def advance(self, samples: int) -> float:
+    def next_command(self, samples: int) -> float:
         """The command for the next `samples` samples, V: that of the first of them; 0 once done."""
-        at, self._at = self._at - self._lead_in, self._at + samples
+        at, self._position = self._position - self._lead_in, self._position + samples
         if at < 0 or at >= self._cycles * len(self._cycle):
             return 0.0
         return float(self._cycle[at % len(self._cycle)])

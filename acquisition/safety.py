@@ -13,24 +13,24 @@ class Safety(StrEnum):
     """The self-test of arming is under way."""
     ARMED = "armed"
     RUNNING = "running"
-    HOLDING_BACK = "holding back"
+    LIMITING = "holding back"
     """The limiter keeps the command lower than the protocol asks for."""
-    LET_GO = "let go"
+    RELEASED = "let go"
     """The force passed the limit: no command until the protocol's next grasp."""
     STOPPED = "stopped"
     FAULTED = "faulted"
 
 
-class Event(StrEnum):
+class SafetyEvent(StrEnum):
     """What happens to it."""
 
     ARM = "arm"
     TEST_PASSED = "test passed"
     TEST_FAILED = "test failed"
     START = "start"
-    HOLD_BACK = "hold back"
-    LET_GO = "let go"
-    RELEASE = "release"
+    LIMIT_FORCE = "hold back"
+    RELEASE_GRASP = "let go"
+    RESUME = "release"
     """The limiter has no objection any more."""
     FINISH = "finish"
     STOP = "stop"
@@ -39,32 +39,40 @@ class Event(StrEnum):
     DISARM = "disarm"
 
 
-MOVING = frozenset({Safety.RUNNING, Safety.HOLDING_BACK})
+MOTOR_ACTIVE_STATES = frozenset({Safety.RUNNING, Safety.LIMITING})
 """The motor moves in no other state."""
 
-IN_RUN = MOVING | {Safety.LET_GO}
-WATCHED = IN_RUN | {Safety.ARMED}
+RUN_STATES = MOTOR_ACTIVE_STATES | {Safety.RELEASED}
+MONITORED_STATES = RUN_STATES | {Safety.ARMED}
 """A lost signal is a fault in these; in others the self-test will find it."""
 
-_IN_RUN = {
-    Event.HOLD_BACK: Safety.HOLDING_BACK,
-    Event.LET_GO: Safety.LET_GO,
-    Event.RELEASE: Safety.RUNNING,
-    Event.FINISH: Safety.ARMED,
+_RUN_TRANSITIONS = {
+    SafetyEvent.LIMIT_FORCE: Safety.LIMITING,
+    SafetyEvent.RELEASE_GRASP: Safety.RELEASED,
+    SafetyEvent.RESUME: Safety.RUNNING,
+    SafetyEvent.FINISH: Safety.ARMED,
 }
-_FROM = {
-    Safety.DISARMED: {Event.ARM: Safety.TESTING, Event.STOP: Safety.DISARMED},
-    Safety.TESTING: {Event.TEST_PASSED: Safety.ARMED, Event.TEST_FAILED: Safety.DISARMED},
-    Safety.ARMED: {Event.ARM: Safety.ARMED, Event.START: Safety.RUNNING},
-    Safety.RUNNING: _IN_RUN,
-    Safety.HOLDING_BACK: _IN_RUN,
-    Safety.LET_GO: _IN_RUN,
-    Safety.STOPPED: {Event.ARM: Safety.TESTING},
-    Safety.FAULTED: {Event.STOP: Safety.FAULTED, Event.DISARM: Safety.FAULTED, Event.ACKNOWLEDGE: Safety.DISARMED},
+_TRANSITIONS = {
+    Safety.DISARMED: {SafetyEvent.ARM: Safety.TESTING, SafetyEvent.STOP: Safety.DISARMED},
+    Safety.TESTING: {SafetyEvent.TEST_PASSED: Safety.ARMED, SafetyEvent.TEST_FAILED: Safety.DISARMED},
+    Safety.ARMED: {SafetyEvent.ARM: Safety.ARMED, SafetyEvent.START: Safety.RUNNING},
+    Safety.RUNNING: _RUN_TRANSITIONS,
+    Safety.LIMITING: _RUN_TRANSITIONS,
+    Safety.RELEASED: _RUN_TRANSITIONS,
+    Safety.STOPPED: {SafetyEvent.ARM: Safety.TESTING},
+    Safety.FAULTED: {
+        SafetyEvent.STOP: Safety.FAULTED,
+        SafetyEvent.DISARM: Safety.FAULTED,
+        SafetyEvent.ACKNOWLEDGE: Safety.DISARMED,
+    },
 }
-_FROM_ANY = {Event.STOP: Safety.STOPPED, Event.FAULT: Safety.FAULTED, Event.DISARM: Safety.DISARMED}
+_TRANSITIONS_FROM_ANY = {
+    SafetyEvent.STOP: Safety.STOPPED,
+    SafetyEvent.FAULT: Safety.FAULTED,
+    SafetyEvent.DISARM: Safety.DISARMED,
+}
 
-_REFUSALS = {
+_REFUSAL_TEXTS = {
     Safety.DISARMED: "The tool is not armed: arm it first.",
     Safety.TESTING: "The self-test is under way: wait for its end.",
     Safety.ARMED: "The tool is armed, but nothing runs.",
@@ -73,15 +81,15 @@ _REFUSALS = {
 }
 
 
-def after(state: Safety, event: Event) -> Safety:
+def next_state(state: Safety, event: SafetyEvent) -> Safety:
     """The state that follows.
 
     Raises:
         RefusedError: the event cannot happen in this state; the text says what has to happen first.
     """
-    following = _FROM[state].get(event) or _FROM_ANY.get(event)
+    following = _TRANSITIONS[state].get(event) or _TRANSITIONS_FROM_ANY.get(event)
     if following:
         return following
-    if event is Event.ACKNOWLEDGE:
+    if event is SafetyEvent.ACKNOWLEDGE:
         raise RefusedError("No fault is latched: there is nothing to acknowledge.")
-    raise RefusedError(_REFUSALS.get(state, "A run is under way. Stop it first."))
+    raise RefusedError(_REFUSAL_TEXTS.get(state, "A run is under way. Stop it first."))

@@ -7,7 +7,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from acquisition.commands import Written
+from acquisition.commands import AppliedCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class RawBlock:
     touch_1_v: np.ndarray
     touch_2_v: np.ndarray
     lost_samples: int = 0
-    limiter: np.ndarray | list[int] | int = 0
+    limiter_flags: np.ndarray | list[int] | int = 0
     limit_n: np.ndarray | float = math.nan
     run: str = ""
     backlog: int = 0
@@ -39,7 +39,7 @@ class RawBlock:
         return len(self.strain_v)
 
 
-class Source(Protocol):
+class SampleSource(Protocol):
     """A running tool or a recording.
 
     Entering it opens the device with the motor at zero; leaving it, however that happens, leaves the motor at zero.
@@ -59,6 +59,6 @@ class Source(Protocol):
         """
         ...
 
-    def write_command(self, command_v: float) -> Written:
+    def write_command(self, command_v: float) -> AppliedCommand:
         """Set the motor command, V, and return from which tick on it holds. A recording ignores it."""
         ...

@@ -8,49 +8,49 @@ import zmq
 
 from acquisition import bus
 from acquisition.blocks import SampleBlock
-from acquisition.control import Acquisition, let_go_text
-from acquisition.limiter import HoldBack
-from acquisition.nidaq import NidaqTool
-from acquisition.process import StopFlag, become_worker, take_realtime
+from acquisition.control import AcquisitionController, describe_release
+from acquisition.limiter import ForceLimiter
+from acquisition.nidaq import NidaqSource
+from acquisition.process import StopFlag, apply_realtime, initialize_worker
 from acquisition.safety import Safety
-from acquisition.server_watch import ServerWatch
+from acquisition.server_watch import ServerWatchdog
 from acquisition.tools import open_tool
 from config.errors import GraspwatchError, RefusedError, ToolError
-from config.schema import Conditioning, Limiter, Protocol, Realtime, TissueLibrary, Tool
+from config.schema import ConditioningSettings, GraspProtocol, LimiterSettings, RealtimeSettings, TissueLibrary, Tool
 
 REALTIME_PRIORITY = 80
-LOOKS_EVERY_S = 0.1
-RENEW_PRIORITY_S = 1.0
-STALLED_S = 0.5
+POLL_INTERVAL_S = 0.1
+PRIORITY_RENEWAL_INTERVAL_S = 1.0
+STALL_THRESHOLD_S = 0.5
 """A turn takes 5 ms, or 20 if samples fail to come: after so long this process itself was held up."""
-MOST_COMMANDS = 20  # after one block: a stop does not queue behind what others ask for
+MAX_COMMANDS_PER_BLOCK = 20  # after one block: a stop does not queue behind what others ask for
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class AcquisitionSetup:
     """All that the worker needs to know."""
 
     parent_pid: int
     endpoints: bus.Endpoints
     tool: Tool
     library: TissueLibrary
-    conditioning: Conditioning
+    conditioning: ConditioningSettings
     tissue: str
     seed: int
-    limiter: Limiter
-    realtime: Realtime
-    begin: Event  # set once the tool may be opened
-    server_silence_s: float
-    fault: str = ""  # that a worker before this one died of, with the motor armed
+    limiter: LimiterSettings
+    realtime: RealtimeSettings
+    start_event: Event  # set once the tool may be opened
+    max_server_silence_s: float
+    previous_fault: str = ""  # that a worker before this one died of, with the motor armed
 
 
-def main(setup: Setup) -> None:
+def main(setup: AcquisitionSetup) -> None:
     """Run until a signal or a fault; exits with an error's code after telling it."""
-    stop = become_worker("acquisition", setup.parent_pid)
+    stop = initialize_worker("acquisition", setup.parent_pid)
     context = zmq.Context()
-    publisher = bus.publisher(context, setup.endpoints.samples)
+    publisher = bus.open_publisher(context, setup.endpoints.samples)
     try:
-        _drive(setup, publisher, context, stop)
+        _run_acquisition(setup, publisher, context, stop)
     except GraspwatchError as error:
         publisher.send_multipart(bus.pack_notice("fault", worker="acquisition", text=str(error)))
         raise SystemExit(error.exit_code) from None
@@ -59,117 +59,117 @@ def main(setup: Setup) -> None:
         context.destroy(linger=200)
 
 
-def _drive(setup: Setup, publisher: zmq.Socket, context: zmq.Context, stop: StopFlag) -> None:
+def _run_acquisition(setup: AcquisitionSetup, publisher: zmq.Socket, context: zmq.Context, stop: StopFlag) -> None:
     """Read the tool for as long as the service lives; between blocks, take force limits and obey commands."""
     source, grasper = open_tool(setup.tool, setup.library, setup.tissue, setup.seed)
-    limits = bus.newest_of(context, setup.endpoints.limits)
-    signs_of_life = bus.newest_of(context, setup.endpoints.server)
+    limits = bus.open_latest_subscriber(context, setup.endpoints.thresholds)
+    signs_of_life = bus.open_latest_subscriber(context, setup.endpoints.server_heartbeat)
     commands = context.socket(zmq.REP)
     commands.bind(setup.endpoints.commands)
-    hold_back = HoldBack(setup.tool, setup.library, setup.limiter)
-    safety = Safety.FAULTED if setup.fault else Safety.DISARMED
-    acquisition = Acquisition(source, setup.tool, setup.conditioning, hold_back, safety, setup.fault)
-    server = ServerWatch(setup.server_silence_s)
-    while not setup.begin.wait(LOOKS_EVERY_S):
-        if stop.set:
+    hold_back = ForceLimiter(setup.tool, setup.library, setup.limiter)
+    safety = Safety.FAULTED if setup.previous_fault else Safety.DISARMED
+    acquisition = AcquisitionController(source, setup.tool, setup.conditioning, hold_back, safety, setup.previous_fault)
+    server = ServerWatchdog(setup.max_server_silence_s)
+    while not setup.start_event.wait(POLL_INTERVAL_S):
+        if stop.is_set:
             return
     with source:
-        granted = take_realtime(setup.realtime, REALTIME_PRIORITY, place=0)
+        granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=0)
         publisher.send_multipart(bus.pack_notice("acquiring", realtime=str(granted)))
-        stalls, renewed_s = _Stalls(source, acquisition, publisher), time.monotonic()
-        while not stop.set and (block := stalls.turn()) is not None:
+        stalls, renewed_s = _StallDetector(source, acquisition, publisher), time.monotonic()
+        while not stop.is_set and (block := stalls.process_block()) is not None:
             publisher.send_multipart(bus.pack_samples(block))
-            _tell_news(acquisition, publisher)
-            if time.monotonic() - renewed_s > RENEW_PRIORITY_S:
+            _publish_events(acquisition, publisher)
+            if time.monotonic() - renewed_s > PRIORITY_RENEWAL_INTERVAL_S:
                 granted.priority.renew()
                 renewed_s = time.monotonic()
             if limits.poll(0):
-                limit = bus.unpack_limit(limits.recv())
-                acquisition.allow(limit.threshold_n, limit.tick)
+                limit = bus.unpack_threshold(limits.recv())
+                acquisition.set_threshold(limit.threshold_n, limit.tick)
             if signs_of_life.poll(0):
                 signs_of_life.recv()
-                server.heard()
-            for _ in range(MOST_COMMANDS):
+                server.on_heartbeat()
+            for _ in range(MAX_COMMANDS_PER_BLOCK):
                 if not commands.poll(0):
                     break
                 command = bus.unpack_command(commands.recv())
-                server.heard()
-                answer = _obey(command, acquisition)
-                if isinstance(command, bus.Start) and command.tissue and grasper and not answer.refused:
-                    grasper.hold(command.tissue)
-                if isinstance(command, bus.Put) and grasper:
-                    grasper.hung_n, grasper.gauge_m = command.pull_n, command.gauge_m
-                commands.send(bus.pack_answer(answer))
-            if (why := server.look(time.monotonic())) and acquisition.running:
+                server.on_heartbeat()
+                answer = _execute_command(command, acquisition)
+                if isinstance(command, bus.StartCommand) and command.tissue and grasper and not answer.refused:
+                    grasper.set_tissue(command.tissue)
+                if isinstance(command, bus.SimulatedLoadCommand) and grasper:
+                    grasper.handle_pull_n, grasper.gauge_m = command.pull_n, command.gauge_m
+                commands.send(bus.pack_reply(answer))
+            if (why := server.check(time.monotonic())) and acquisition.running:
                 acquisition.fail(why)
         acquisition.stop("the service was ended")
-        _tell_news(acquisition, publisher)
+        _publish_events(acquisition, publisher)
 
 
-class _Stalls:
+class _StallDetector:
     """Takes turns, and notices when this process was held up: stopped, swapped out or suspended with the machine.
 
     Samples that the board kept meanwhile (10 s) are read and published late; past that, or after the guard's reset, the
     board is opened again, and the samples in between are counted as lost.
     """
 
-    def __init__(self, source: NidaqTool, acquisition: Acquisition, publisher: zmq.Socket) -> None:
+    def __init__(self, source: NidaqSource, acquisition: AcquisitionController, publisher: zmq.Socket) -> None:
         self._source, self._acquisition, self._publisher = source, acquisition, publisher
-        self._turned_s = time.monotonic()
+        self._last_block_s = time.monotonic()
 
-    def turn(self) -> SampleBlock | None:
+    def process_block(self) -> SampleBlock | None:
         """The next block.
 
         Raises:
             ToolError: the board failed, and not because of a stall.
         """
         try:
-            block = self._acquisition.turn()
+            block = self._acquisition.process_block()
         except ToolError:
-            if not (stalled := self._stalled()):
+            if not (stalled := self._detect_stall()):
                 raise
             self._source.reopen()
             why = f"{stalled}; the board had to be opened again: arm the tool again"
-            self._acquisition.begin_anew(why)
-            self._tell(why)
-            return self.turn()
-        if stalled := self._stalled():
-            self._tell(stalled)
+            self._acquisition.restart_after_reopen(why)
+            self._publish_stall(why)
+            return self.process_block()
+        if stalled := self._detect_stall():
+            self._publish_stall(stalled)
         return block
 
-    def _stalled(self) -> str | None:
-        before_s, self._turned_s = self._turned_s, time.monotonic()
-        stalled_s = self._turned_s - before_s
-        return f"The acquisition was held up for {stalled_s:.1f} s" if stalled_s > STALLED_S else None
+    def _detect_stall(self) -> str | None:
+        before_s, self._last_block_s = self._last_block_s, time.monotonic()
+        stalled_s = self._last_block_s - before_s
+        return f"The acquisition was held up for {stalled_s:.1f} s" if stalled_s > STALL_THRESHOLD_S else None
 
-    def _tell(self, text: str) -> None:
+    def _publish_stall(self, text: str) -> None:
         self._publisher.send_multipart(bus.pack_notice("stalled", text=text))
 
 
-def _tell_news(acquisition: Acquisition, publisher: zmq.Socket) -> None:
+def _publish_events(acquisition: AcquisitionController, publisher: zmq.Socket) -> None:
     """Grasps that were let go, and runs that ended."""
-    for why in acquisition.take_let_go():
-        publisher.send_multipart(bus.pack_notice("let_go", text=let_go_text(why)))
-    for ended in acquisition.take_ended():
+    for why in acquisition.pop_release_reasons():
+        publisher.send_multipart(bus.pack_notice("let_go", text=describe_release(why)))
+    for ended in acquisition.pop_ended_runs():
         publisher.send_multipart(bus.pack_notice("run_ended", **asdict(ended)))
 
 
-def _obey(command: bus.Command | None, acquisition: Acquisition) -> bus.Answer:
+def _execute_command(command: bus.AnyCommand | None, acquisition: AcquisitionController) -> bus.CommandReply:
     try:
         match command:
             case None:
-                return bus.Answer(refused="The request came too late and was not obeyed. Try again.")
-            case bus.Start():
-                protocol = Protocol.model_validate_json(command.protocol)
+                return bus.CommandReply(refused="The request came too late and was not obeyed. Try again.")
+            case bus.StartCommand():
+                protocol = GraspProtocol.model_validate_json(command.protocol)
                 acquisition.start(command.run_id, protocol, command.cycles)
-            case bus.Stop():
-                return bus.Answer(effect=acquisition.stop(command.why))
-            case bus.Arm():
-                acquisition.arm(command.unmeasured)
-            case bus.Disarm():
+            case bus.StopCommand():
+                return bus.CommandReply(effect=acquisition.stop(command.why))
+            case bus.ArmCommand():
+                acquisition.arm(command.unmeasured_scale_reason)
+            case bus.DisarmCommand():
                 acquisition.disarm()
-            case bus.Acknowledge():
+            case bus.AcknowledgeCommand():
                 acquisition.acknowledge()
-        return bus.Answer()
+        return bus.CommandReply()
     except RefusedError as error:
-        return bus.Answer(refused=str(error))
+        return bus.CommandReply(refused=str(error))

@@ -10,17 +10,17 @@ from app.wire import Alarm, AlarmKind, JournalKind, Priority
 from config.errors import RefusedError
 from estimator.alarms import ForceAlarm
 
-FORCE, PEAK = "force", "force-peak"
-RANK = {Priority.LOW: 1, Priority.MEDIUM: 2, Priority.HIGH: 3}
-SHARE_TEXT = {
+FORCE_ALARM_KEY, PEAK_FORCE_ALARM_KEY = "force", "force-peak"
+PRIORITY_RANK = {Priority.LOW: 1, Priority.MEDIUM: 2, Priority.HIGH: 3}
+FORCE_WARNING_TEXTS = {
     Priority.LOW: "Force near the injury threshold",
     Priority.MEDIUM: "Force close to the injury threshold",
     Priority.HIGH: "Force too close to the injury threshold",
 }
-OVER_TEXT = "Force over the injury threshold"
+OVER_THRESHOLD_TEXT = "Force over the injury threshold"
 
 
-class AlarmBook:
+class AlarmManager:
     """At most one alarm a key; its `id` stays the same until it is over.
 
     The force alarm follows its cause. When it leaves the high priority and nobody has acknowledged it, the peak stays
@@ -28,53 +28,55 @@ class AlarmBook:
     let go. An acknowledged alarm that becomes worse is a new one to people: the acknowledgement is taken back.
     """
 
-    def __init__(self, tell: Callable[[BaseModel], None], journal: Journal | None = None) -> None:
-        self._tell = tell
+    def __init__(self, publish: Callable[[BaseModel], None], journal: Journal | None = None) -> None:
+        self._publish = publish
         self._journal = journal
         self._alarms: dict[str, Alarm] = {}
-        self._count = 0
+        self._alarm_count = 0
 
-    def all(self) -> list[Alarm]:
+    def current_alarms(self) -> list[Alarm]:
         return list(self._alarms.values())
 
-    def technical_texts(self) -> list[str]:
+    def technical_alarm_texts(self) -> list[str]:
         """Of those whose cause is there."""
         return [alarm.text for alarm in self._alarms.values() if alarm.kind is AlarmKind.TECHNICAL and alarm.active]
 
     def raise_technical(self, key: str, priority: Priority, text: str, at_ms: float | None = None) -> None:
         self._raise(key, AlarmKind.TECHNICAL, priority, text, at_ms)
 
-    def force(self, change: ForceAlarm, at_ms: float | None = None) -> None:
+    def update_force_alarm(self, change: ForceAlarm, at_ms: float | None = None) -> None:
         """Take a change of the force warning."""
         if change.priority is None:
-            self.end_force(at_ms)
+            self.end_force_alarm(at_ms)
             return
         priority = Priority(change.priority)
         if priority is not Priority.HIGH:
-            self._keep_peak()
+            self._latch_peak_force()
         whose = change.threshold_tissue.replace("_", " ") if change.threshold_tissue else "lowest of the library"
-        words = OVER_TEXT if change.force_n >= change.threshold_n else SHARE_TEXT[priority]
+        words = OVER_THRESHOLD_TEXT if change.force_n >= change.threshold_n else FORCE_WARNING_TEXTS[priority]
         text = f"{words} ({whose})"
-        self._raise(FORCE, AlarmKind.FORCE, priority, text, at_ms, change.force_n, change.threshold_n)
+        self._raise(FORCE_ALARM_KEY, AlarmKind.FORCE, priority, text, at_ms, change.force_n, change.threshold_n)
 
-    def feel(self, force_n: float | None) -> None:
+    def update_peak_force(self, force_n: float | None) -> None:
         """The force now, N: the alarm's value is its highest."""
-        alarm = self._alarms.get(FORCE)
+        alarm = self._alarms.get(FORCE_ALARM_KEY)
         if alarm and force_n is not None and alarm.value is not None and force_n > alarm.value:
-            self._keep(FORCE, alarm.model_copy(update={"value": force_n}))
+            self._store(FORCE_ALARM_KEY, alarm.model_copy(update={"value": force_n}))
 
-    def end_force(self, at_ms: float | None = None) -> None:
+    def end_force_alarm(self, at_ms: float | None = None) -> None:
         """The force has fallen, or is not followed any more because whoever told of it is gone."""
-        self._keep_peak()
-        self.end(FORCE, at_ms)
+        self._latch_peak_force()
+        self.end(FORCE_ALARM_KEY, at_ms)
 
-    def _keep_peak(self) -> None:
+    def _latch_peak_force(self) -> None:
         """Before the force alarm leaves the high priority."""
-        alarm = self._alarms.get(FORCE)
+        alarm = self._alarms.get(FORCE_ALARM_KEY)
         if alarm and alarm.priority is Priority.HIGH and alarm.acknowledged_by is None:
-            self.happened(PEAK, AlarmKind.FORCE, f"Peak: {alarm.text}", alarm.began_ms, alarm.value, alarm.limit)
+            self.raise_latched(
+                PEAK_FORCE_ALARM_KEY, AlarmKind.FORCE, f"Peak: {alarm.text}", alarm.began_ms, alarm.value, alarm.limit
+            )
 
-    def happened(
+    def raise_latched(
         self,
         key: str,
         kind: AlarmKind,
@@ -106,10 +108,10 @@ class AlarmBook:
         if before and (before.priority, before.text, before.value, before.limit) == (priority, text, value, limit):
             return
         if not before:
-            self._count += 1
-        worse = before is None or RANK[priority] > RANK[before.priority]
+            self._alarm_count += 1
+        worse = before is None or PRIORITY_RANK[priority] > PRIORITY_RANK[before.priority]
         alarm = Alarm(
-            id=before.id if before else f"{key}-{self._count}",
+            id=before.id if before else f"{key}-{self._alarm_count}",
             kind=kind,
             priority=priority,
             active=True,
@@ -118,62 +120,62 @@ class AlarmBook:
             value=value,
             limit=limit,
             unit="N" if value is not None else None,
-            began_ms=before.began_ms if before else _at(at_ms),
+            began_ms=before.began_ms if before else _time_or_now_ms(at_ms),
             ended_ms=None,
             acknowledged_by=None if worse else before.acknowledged_by,
         )
-        alarm = self._keep(key, alarm)
+        alarm = self._store(key, alarm)
         if worse or text != before.text:
-            self._note(JournalKind.ALARM, alarm, f"{priority.value.capitalize()} alarm: {text}")
+            self._write_journal_entry(JournalKind.ALARM, alarm, f"{priority.value.capitalize()} alarm: {text}")
 
     def end(self, key: str, at_ms: float | None = None) -> None:
         """The cause is gone."""
         alarm = self._alarms.get(key)
         if alarm and alarm.active:
-            alarm = self._keep(key, alarm.model_copy(update={"active": False, "ended_ms": _at(at_ms)}))
-            self._note(JournalKind.ALARM, alarm, f"Over: {alarm.text}")
+            alarm = self._store(key, alarm.model_copy(update={"active": False, "ended_ms": _time_or_now_ms(at_ms)}))
+            self._write_journal_entry(JournalKind.ALARM, alarm, f"Over: {alarm.text}")
 
-    def key_of(self, alarm_id: str) -> str | None:
+    def find_key(self, alarm_id: str) -> str | None:
         """Of an alarm that is on."""
         return next((key for key, alarm in self._alarms.items() if alarm.id == alarm_id), None)
 
-    def check(self, alarm_id: str, seen: Priority) -> str:
+    def check_acknowledgeable(self, alarm_id: str, seen_priority: Priority) -> str:
         """The key of an alarm that may be acknowledged by whoever has `seen` it at that priority.
 
         Raises:
             RefusedError: there is no such alarm any more, or it is worse by now.
         """
-        key = self.key_of(alarm_id)
+        key = self.find_key(alarm_id)
         if key is None:
             text = f"There is no alarm {alarm_id!r} any more. GET /api/alarms lists those that are on."
             raise RefusedError(text, "id")
-        if RANK[self._alarms[key].priority] > RANK[seen]:
+        if PRIORITY_RANK[self._alarms[key].priority] > PRIORITY_RANK[seen_priority]:
             raise RefusedError("The alarm is worse by now: look at it again.", "priority")
         return key
 
-    def acknowledge(self, alarm_id: str, seen: Priority, by: str) -> Alarm:
+    def acknowledge(self, alarm_id: str, seen_priority: Priority, by: str) -> Alarm:
         """Somebody has seen it; an alarm whose cause is gone is over with that.
 
         Raises:
             RefusedError: there is no such alarm any more, or it is worse by now than what was `seen`.
         """
-        key = self.check(alarm_id, seen)
+        key = self.check_acknowledgeable(alarm_id, seen_priority)
         alarm = self._alarms[key].model_copy(update={"acknowledged_by": by, "latched": False})
-        alarm = self._keep(key, alarm)
-        self._note(JournalKind.ACKNOWLEDGED, alarm, f"Acknowledged: {alarm.text}", by)
+        alarm = self._store(key, alarm)
+        self._write_journal_entry(JournalKind.ACKNOWLEDGED, alarm, f"Acknowledged: {alarm.text}", by)
         return alarm
 
-    def _keep(self, key: str, alarm: Alarm) -> Alarm:
+    def _store(self, key: str, alarm: Alarm) -> Alarm:
         before = self._alarms.get(key)
         alarm = alarm.model_copy(update={"change": before.change + 1 if before else 1})
         if alarm.active or alarm.latched:
             self._alarms[key] = alarm
         else:
             self._alarms.pop(key, None)
-        self._tell(alarm)
+        self._publish(alarm)
         return alarm
 
-    def _note(self, kind: JournalKind, alarm: Alarm, text: str, by: str | None = None) -> None:
+    def _write_journal_entry(self, kind: JournalKind, alarm: Alarm, text: str, by: str | None = None) -> None:
         if self._journal:
             self._journal.write(
                 kind,
@@ -187,5 +189,5 @@ class AlarmBook:
             )
 
 
-def _at(at_ms: float | None) -> float:
+def _time_or_now_ms(at_ms: float | None) -> float:
     return now_ms() if at_ms is None else at_ms

@@ -12,16 +12,18 @@ from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import Any
 
-from acquisition.process import become_worker, start_child
+from acquisition.process import initialize_worker, start_child_process
 from config.errors import GraspwatchError, ServiceError
 
 NICENESS = 10
-DONE = None  # a process's last word
+DONE_MESSAGE = None  # a process's last word
 
-Tell = Callable[[Any], None]
+SendMessage = Callable[[Any], None]
 
 
-async def run_aside(name: str, work: Callable[..., None], *arguments: Any, told: Tell, advice: str) -> None:
+async def run_in_background_process(
+    name: str, work: Callable[..., None], *arguments: Any, on_message: SendMessage, advice: str
+) -> None:
     """Run `work(tell, *arguments)` in a process called `name`; hand what it tells to `told` as it comes.
 
     Cancelling ends the process and its children at once; nothing they hold needs an orderly end.
@@ -33,18 +35,18 @@ async def run_aside(name: str, work: Callable[..., None], *arguments: Any, told:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(
-        target=_main, args=(name, os.getpid(), theirs, work, arguments), name=f"graspwatch-{name}"
+        target=_process_main, args=(name, os.getpid(), theirs, work, arguments), name=f"graspwatch-{name}"
     )
     with theirs:
-        start_child(process)
+        start_child_process(process)
     loop, arrived = asyncio.get_running_loop(), asyncio.Event()
     for source in (ours.fileno(), process.sentinel):
         loop.add_reader(source, arrived.set)
     try:
-        while (report := await _next(ours, process, arrived)) is not DONE:
+        while (report := await _receive(ours, process, arrived)) is not DONE_MESSAGE:
             if isinstance(report, GraspwatchError):
                 raise report
-            told(report)
+            on_message(report)
     except EOFError:
         await asyncio.to_thread(process.join)
         code = process.exitcode or 0
@@ -62,7 +64,7 @@ async def run_aside(name: str, work: Callable[..., None], *arguments: Any, told:
         await asyncio.to_thread(process.join)
 
 
-async def _next(pipe: Connection, process: BaseProcess, arrived: asyncio.Event) -> Any:
+async def _receive(pipe: Connection, process: BaseProcess, arrived: asyncio.Event) -> Any:
     """Raises EOFError once the process is dead; its children may keep the pipe open beyond that."""
     while not pipe.poll():
         if not process.is_alive() and not pipe.poll():
@@ -75,18 +77,20 @@ async def _next(pipe: Connection, process: BaseProcess, arrived: asyncio.Event) 
 # --- in the process -----------------------------------------------------------------------------------------------
 
 
-def _main(name: str, service_pid: int, pipe: Connection, work: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    _give_way(name, service_pid)
+def _process_main(
+    name: str, service_pid: int, pipe: Connection, work: Callable[..., None], arguments: tuple[Any, ...]
+) -> None:
+    _lower_priority(name, service_pid)
     try:
         work(pipe.send, *arguments)
-        pipe.send(DONE)
+        pipe.send(DONE_MESSAGE)
     except GraspwatchError as error:
         pipe.send(error)
     except OSError as error:
         pipe.send(ServiceError(f"{error.strerror or error} ({error.filename or name}). Make room or mend it."))
 
 
-def _give_way(name: str, service_pid: int) -> None:
+def _lower_priority(name: str, service_pid: int) -> None:
     """Low priority, and one group with all children to come, which ends when the service has ended.
 
     A group and not a session: between sessions Linux may share the processor evenly, whatever their niceness
@@ -94,11 +98,11 @@ def _give_way(name: str, service_pid: int) -> None:
     """
     os.setpgid(0, 0)
     os.nice(NICENESS)
-    flag = become_worker(name, service_pid)
-    signal.signal(signal.SIGTERM, _end_group)
-    if flag.set:  # it was to end before the line above
-        _end_group()
+    flag = initialize_worker(name, service_pid)
+    signal.signal(signal.SIGTERM, _kill_process_group)
+    if flag.is_set:  # it was to end before the line above
+        _kill_process_group()
 
 
-def _end_group(number: int = 0, frame: FrameType | None = None) -> None:
+def _kill_process_group(number: int = 0, frame: FrameType | None = None) -> None:
     os.killpg(0, signal.SIGKILL)

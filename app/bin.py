@@ -13,9 +13,9 @@ from pathlib import Path
 
 from config.errors import RefusedError
 
-FOLDER = "bin"  # in the recordings folder: the same disk, so that nothing is copied
-_STAMP = "%Y%m%dT%H%M%S%fZ"
-_ENTRY = re.compile(r"\d{8}T\d{12}Z")
+BIN_FOLDER = "bin"  # in the recordings folder: the same disk, so that nothing is copied
+_ENTRY_TIME_FORMAT = "%Y%m%dT%H%M%S%fZ"
+_ENTRY_PATTERN = re.compile(r"\d{8}T\d{12}Z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,28 +32,28 @@ class BinnedFile:
         return self.path.name
 
     @property
-    def deleted_iso(self) -> str:
+    def deleted_at_iso(self) -> str:
         """As the index has it."""
-        return iso(self.deleted_at)
+        return format_iso(self.deleted_at)
 
 
-def iso(moment: datetime) -> str:
+def format_iso(moment: datetime) -> str:
     return moment.isoformat(timespec="microseconds")
 
 
-class Bin:
+class BinFolder:
     """That of a recordings folder. Blocks; every method may raise OSError."""
 
     def __init__(self, recordings: Path) -> None:
-        self._recordings, self._folder = recordings, recordings / FOLDER
+        self._recordings, self._folder = recordings, recordings / BIN_FOLDER
 
-    def files(self) -> list[BinnedFile]:
+    def list_files(self) -> list[BinnedFile]:
         """What is in it, deleted last first."""
-        return sorted(self._found(), key=lambda file: file.entry, reverse=True)
+        return sorted(self._iterate_files(), key=lambda file: file.entry, reverse=True)
 
-    def put(self, path: Path, at: datetime) -> None:
+    def add(self, path: Path, at: datetime) -> None:
         """Move a recording into the bin; `at` is the moment of its deletion."""
-        place = self._folder / f"{at.astimezone(UTC):{_STAMP}}"
+        place = self._folder / f"{at.astimezone(UTC):{_ENTRY_TIME_FORMAT}}"
         place.mkdir(parents=True)
         try:
             path.rename(place / path.name)
@@ -66,7 +66,7 @@ class Bin:
         Raises:
             RefusedError: there is no such entry.
         """
-        for file in self._found():
+        for file in self._iterate_files():
             if file.entry == entry:
                 return file
         raise RefusedError(f"There is no entry {entry!r} in the bin. GET /api/bin lists them.", "entry")
@@ -84,23 +84,23 @@ class Bin:
         file.path.parent.rmdir()
         return path
 
-    def remove(self, file: BinnedFile) -> None:
+    def delete_permanently(self, file: BinnedFile) -> None:
         """For good."""
         file.path.unlink(missing_ok=True)
         file.path.parent.rmdir()
 
-    def _found(self) -> Iterator[BinnedFile]:
+    def _iterate_files(self) -> Iterator[BinnedFile]:
         for place in self._folder.glob("*"):
-            if not _ENTRY.fullmatch(place.name) or not place.is_dir():
+            if not _ENTRY_PATTERN.fullmatch(place.name) or not place.is_dir():
                 continue
             try:
-                at = datetime.strptime(place.name, _STAMP).replace(tzinfo=UTC)
+                at = datetime.strptime(place.name, _ENTRY_TIME_FORMAT).replace(tzinfo=UTC)
                 for path in place.iterdir():
                     yield BinnedFile(place.name, path, at, path.lstat().st_size)
             except (OSError, ValueError) as error:  # it went meanwhile, or is called after no moment at all
                 logging.getLogger("graspwatch").info("the bin's %s is passed over: %s", place.name, error)
 
 
-def expired(files: list[BinnedFile], keep_days: float, now: datetime) -> list[BinnedFile]:
+def find_expired(files: list[BinnedFile], keep_days: float, now: datetime) -> list[BinnedFile]:
     """Those that were deleted more than `keep_days` ago."""
     return [file for file in files if now - file.deleted_at > timedelta(days=keep_days)]

@@ -5,7 +5,7 @@ import contextlib
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import rich.markup
 import typer
@@ -21,7 +21,7 @@ from app.exchange import command as exchange
 from app.learn.command import learn
 from app.learn.labels import LearnCommand
 from app.options import (
-    RECORDED_WITH,
+    DEFAULT_RECORDING_TOOL,
     ConfigOption,
     DataOption,
     JsonOption,
@@ -31,17 +31,27 @@ from app.options import (
     TlsCertOption,
     TlsKeyOption,
     ToolOption,
-    data_folder,
-    errors,
+    error_console,
+    prepare_data_folder,
 )
 from app.people import command as people
 from app.report.command import report
 from app.study import command as study
 from app.support import support
 from config.errors import ConfigurationError, GraspwatchError, ToolError
-from config.load import choose, holdable, load_library, load_protocol, load_settings, load_tool
-from config.network import host_of
-from config.schema import Foxglove, Settings, Tool, ToolKind
+from config.load import (
+    build_graspable_library,
+    load_library,
+    load_protocol,
+    load_settings,
+    load_tool,
+    require_known_name,
+)
+from config.network import format_host
+from config.schema import FoxgloveSettings, Settings, Tool, ToolKind
+
+if TYPE_CHECKING:
+    from app.plan import ServicePlan
 
 app = typer.Typer(
     name="graspwatch",
@@ -64,9 +74,9 @@ app.command("learn", cls=LearnCommand)(learn)
 
 @app.callback(invoke_without_command=True)
 def version(
-    show: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+    show_version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
 ) -> None:
-    if show:
+    if show_version:
         print(__version__)
         raise typer.Exit
 
@@ -101,17 +111,25 @@ def serve(
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings. Use `graspwatch replay FILE --serve`.")
     if chosen.kind is not ToolKind.SIMULATED and (tissue or demo):
         raise ConfigurationError("--tissue and --demo are for the simulated grasper; leave them out for a real tool.")
-    held = choose(tissue, list(holdable(library).tissues), "tissue") if tissue else next(iter(library.tissues))
+    held = (
+        require_known_name(tissue, list(build_graspable_library(library).tissues), "tissue")
+        if tissue
+        else next(iter(library.tissues))
+    )
     if chosen.kind is ToolKind.NIDAQ:
-        from acquisition.nidaq import check_driver
+        from acquisition.nidaq import read_driver_version
 
-        check_driver(chosen)
-    rig = load_tool(RECORDED_WITH)
-    settings = _with_tls(settings, tls_cert, tls_key)
+        read_driver_version(chosen)
+    rig = load_tool(DEFAULT_RECORDING_TOOL)
+    settings = _apply_tls_options(settings, tls_cert, tls_key)
     if foxglove:
-        settings = settings.model_copy(update={"foxglove": Foxglove(port=foxglove)})
-    folder, source = data_folder(data, settings), tool or settings.tool
-    _serve(ServicePlan(chosen, library, settings, held, seed, folder, rig, demo=demo, tool_source=source), host, port)
+        settings = settings.model_copy(update={"foxglove": FoxgloveSettings(port=foxglove)})
+    folder, source = prepare_data_folder(data, settings), tool or settings.tool
+    _start_server(
+        ServicePlan(chosen, library, settings, held, seed, folder, rig, demo_enabled=demo, tool_source=source),
+        host,
+        port,
+    )
 
 
 @app.command()
@@ -134,7 +152,7 @@ def run(
     """
     settings = load_settings(config)
     profiles, wanted = load_library(library or settings.library), load_protocol(protocol)
-    choose(tissue, list(holdable(profiles).tissues), "tissue")
+    require_known_name(tissue, list(build_graspable_library(profiles).tissues), "tissue")
     profiles.check_tool(_simulated_tool(settings))
 
     from app.headless import run_protocol  # takes a second: not before the request is known to be sound
@@ -151,12 +169,12 @@ def run(
             cycles=count,
             seed=seed,
             real_time=real_time,
-            record=record,
+            recording_path=record,
             progress=progress,
         )
     _print_reports([report.document()], as_json)
-    for text in report.let_go:
-        errors.print(text, soft_wrap=True)
+    for text in report.releases:
+        error_console.print(text, soft_wrap=True)
     if report.failure:
         raise ToolError(report.failure)
 
@@ -170,7 +188,7 @@ def replay(
         typer.Option(
             metavar="NAME|FILE",
             help="Tool file with channels and calibration; default: the one in an .mcap file, for LabVIEW's "
-            f"{RECORDED_WITH}.",
+            f"{DEFAULT_RECORDING_TOOL}.",
         ),
     ] = None,
     as_recorded: Annotated[
@@ -179,7 +197,9 @@ def replay(
     speed: Annotated[
         float | None, typer.Option(min=0.01, max=1000, help="Times real time; default: as fast as it goes.")
     ] = None,
-    serve_it: Annotated[bool, typer.Option("--serve", help="Watch it in the dashboard, with pause and seek.")] = False,
+    serve_dashboard: Annotated[
+        bool, typer.Option("--serve", help="Watch it in the dashboard, with pause and seek.")
+    ] = False,
     host: Annotated[str | None, typer.Option(help="With --serve: address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="With --serve: port to listen on.")] = None,
     tls_cert: TlsCertOption = None,
@@ -195,46 +215,48 @@ def replay(
 
     Example: graspwatch replay liver4Hz1.lvm.gz --json
     """
-    from acquisition.recordings.playing import Recording
+    from acquisition.recordings.playing import RecordingSource
 
     settings = load_settings(config)
-    profiles, rig = load_library(library or settings.library), load_tool(tool or RECORDED_WITH)
-    if as_recorded and (library or config or serve_it):
+    profiles, rig = load_library(library or settings.library), load_tool(tool or DEFAULT_RECORDING_TOOL)
+    if as_recorded and (library or config or serve_dashboard):
         raise ConfigurationError("--as-recorded takes library and settings from the file; leave the others out.")
     for path in files:
-        profiles.check_tool(rig if tool else Recording(path, rig).tool)
+        profiles.check_tool(rig if tool else RecordingSource(path, rig).tool)
 
     from app.headless import replay_recording  # takes a second: not before the files are known to be sound
     from app.plan import ServicePlan
-    from app.record.run_file import Rig
+    from app.record.run_file import RecordingContext
 
-    if serve_it:
+    if serve_dashboard:
         if as_json or speed is not None:
             raise ConfigurationError("--serve shows the recording in the dashboard; leave --json and --speed out.")
-        settings = _with_tls(settings, tls_cert, tls_key)
-        held, folder = next(iter(profiles.tissues)), data_folder(data, settings)
+        settings = _apply_tls_options(settings, tls_cert, tls_key)
+        held, folder = next(iter(profiles.tissues)), prepare_data_folder(data, settings)
         plan = ServicePlan(rig, profiles, settings, held, 0, folder, rig, tuple(files))
-        _serve(plan, host, port)
+        _start_server(plan, host, port)
         return
     documents = []
     for path in files:
-        recording = Recording(path, rig, speed)
-        how = Rig(rig if tool else recording.tool, profiles, settings)
+        recording = RecordingSource(path, rig, speed)
+        how = RecordingContext(rig if tool else recording.tool, profiles, settings)
         if as_recorded:
-            if recording.container is None:
+            if recording.mcap_file is None:
                 raise ConfigurationError(f"{path}: LabVIEW's files hold no library. Leave --as-recorded out.")
-            how = Rig.of_file(recording.container)
+            how = RecordingContext.from_file(recording.mcap_file)
         with ProgressBar(path.name, 1.0) as progress:
             report = replay_recording(recording, how, progress)
         documents.append(report.document())
         if report.comparison:
-            errors.print(report.comparison.text(), soft_wrap=True)
+            error_console.print(report.comparison.text(), soft_wrap=True)
     _print_reports(documents, as_json)
 
 
 @app.command()
 def index(
-    anew: Annotated[bool, typer.Option("--rebuild", help="Build it anew from the recordings and the journal.")] = False,
+    rebuild: Annotated[
+        bool, typer.Option("--rebuild", help="Build it anew from the recordings and the journal.")
+    ] = False,
     config: ConfigOption = None,
     data: DataOption = None,
     as_json: JsonOption = False,
@@ -244,18 +266,18 @@ def index(
     Example: graspwatch index --rebuild --data graspwatch-data
     """
     from app.store import command
-    from app.store.database import index_url_of
+    from app.store.database import index_url_from_settings
 
     settings = load_settings(config)
-    folder = data_folder(data, settings)
-    url = index_url_of(settings, folder)
-    if not anew:
-        command.show(url, folder, as_json)
+    folder = prepare_data_folder(data, settings)
+    url = index_url_from_settings(settings, folder)
+    if not rebuild:
+        command.print_status(url, folder, as_json)
         return
     if as_json:
         raise ConfigurationError("--json tells what the index holds; leave it out with --rebuild.")
     with ProgressBar("Rebuilding the index", 1.0) as progress:
-        command.build_anew(url, folder, errors, progress)
+        command.rebuild_and_report(url, folder, error_console, progress)
 
 
 def _simulated_tool(settings: Settings) -> Tool:
@@ -264,40 +286,43 @@ def _simulated_tool(settings: Settings) -> Tool:
     return named if named.kind is ToolKind.SIMULATED else load_tool("simulated")
 
 
-def _with_tls(settings: Settings, cert: Path | None, key: Path | None) -> Settings:
+def _apply_tls_options(settings: Settings, cert: Path | None, key: Path | None) -> Settings:
     """With what the command line says."""
     changes = {name: str(path) for name, path in (("tls_cert", cert), ("tls_key", key)) if path}
     return settings.model_copy(update={"server": settings.server.model_copy(update=changes)})
 
 
-def _serve(plan: Any, host: str | None, port: int | None) -> None:
-    from app.main import create_app, listen
+def _start_server(plan: "ServicePlan", host: str | None, port: int | None) -> None:
+    from app.main import create_app, open_listener
     from app.main import serve as serve_app
-    from app.people.door import check_bind, check_certificate
+    from app.people.door import check_certificate, check_listen_address
 
     server = plan.settings.server
     check_certificate(server.tls_cert, server.tls_key)
     with contextlib.ExitStack() as unless_served:
-        listener = unless_served.enter_context(listen(host or server.host, server.port if port is None else port))
+        listener = unless_served.enter_context(
+            open_listener(host or server.host, server.port if port is None else port)
+        )
         address, bound = listener.getsockname()[:2]
-        stream_port = None if plan.opened else plan.settings.foxglove.port
+        stream_port = None if plan.opened_recordings else plan.settings.foxglove.port
         if stream_port:
             from app.foxglove import HOST
 
-            listen(HOST, stream_port).close()  # to say it now if the port is taken
-        warning = check_bind(address, plan.data, server.tls_cert is not None)
+            open_listener(HOST, stream_port).close()  # to say it now if the port is taken
+        warning = check_listen_address(address, plan.data_folder, server.tls_cert is not None)
         application = create_app(plan)
         unless_served.pop_all()
     scheme = "https" if server.tls_cert else "http"
-    shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else host_of(address)
-    what = f"replay of {', '.join(path.name for path in plan.opened)}" if plan.opened else plan.tool.title
-    errors.print(f"Graspwatch {__version__}: {what}. Research instrument, not a medical device.", soft_wrap=True)
-    if not plan.opened:
-        errors.print(
+    shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else format_host(address)
+    names = ", ".join(path.name for path in plan.opened_recordings)
+    what = f"replay of {names}" if names else plan.tool.title
+    error_console.print(f"Graspwatch {__version__}: {what}. Research instrument, not a medical device.", soft_wrap=True)
+    if not plan.opened_recordings:
+        error_console.print(
             "Preparing the filters; the very first start compiles them, which takes up to a minute.", soft_wrap=True
         )
     if warning:
-        errors.print(warning, style="yellow", soft_wrap=True)
+        error_console.print(warning, style="yellow", soft_wrap=True)
     url = f"{scheme}://{shown}:{bound}"
     stream = f"  (Foxglove: ws://localhost:{stream_port})" if stream_port else ""
     print(f"Dashboard: {url}/  (API: {url}/docs){stream}  Ctrl+C ends it.", flush=True)
@@ -310,13 +335,13 @@ def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
         return
     console = Console()
     for document in documents:
-        console.print(_table(document))
+        console.print(_build_table(document))
 
 
-REMARKS = {"unknown": "fits no tissue of the library"}
+VERDICT_REMARKS = {"unknown": "fits no tissue of the library"}
 
 
-def _table(document: dict[str, Any]) -> Table:
+def _build_table(document: dict[str, Any]) -> Table:
     title = (
         f"{document['source']}: {document['samples']} samples in {document['duration_s']:.1f} s, "
         f"{document['lost_samples']} lost; library {document['library']}; {document['force_scale']}"
@@ -336,7 +361,7 @@ def _table(document: dict[str, Any]) -> Table:
             "" if probability is None else f"{probability:.0%}",
             "" if decided is None else f"{decided * 1e3:.0f} ms",
             "" if peak is None else f"{peak:.2f} N",
-            grasp["why_invalid"] or REMARKS.get(grasp["label"]) or likeliest,
+            grasp["why_invalid"] or VERDICT_REMARKS.get(grasp["label"]) or likeliest,
         )
     return table
 
@@ -346,7 +371,7 @@ def main() -> None:
     try:
         app()
     except GraspwatchError as error:
-        errors.print("[bold red]Error:[/]", rich.markup.escape(str(error)), soft_wrap=True)
+        error_console.print("[bold red]Error:[/]", rich.markup.escape(str(error)), soft_wrap=True)
         sys.exit(error.exit_code)
     except BrokenPipeError:
         sys.exit(0)

@@ -9,8 +9,8 @@ import zmq.asyncio
 from acquisition import bus
 from config.errors import RefusedError, ServiceError
 
-ANSWER_S = 0.5
-MOST_LATE, LATE_S = 20, 10.0
+ANSWER_TIMEOUT_S = 0.5
+MAX_LATE_STOPS, LATE_STOP_TIMEOUT_S = 20, 10.0
 """So many stops stay in the queue of a worker that is held up, and so long: one is obeyed when nobody waits for it
 any more."""
 
@@ -20,20 +20,20 @@ class Commander:
 
     def __init__(self, context: zmq.asyncio.Context, address: str) -> None:
         self._context, self._address = context, address
-        self._pending: set[asyncio.Task[bus.Answer]] = set()
+        self._pending: set[asyncio.Task[bus.CommandReply]] = set()
 
-    async def send(self, command: bus.Command) -> bool:
+    async def send(self, command: bus.AnyCommand) -> bool:
         """Returns whether the command changed anything.
 
         Raises:
             RefusedError: it is refused; the text says why.
             ServiceError: nobody answers.
         """
-        asked = asyncio.create_task(self._ask(command))
+        asked = asyncio.create_task(self._request(command))
         self._pending.add(asked)
-        asked.add_done_callback(self._forget)
-        if not (await asyncio.wait({asked}, timeout=ANSWER_S))[0]:
-            if not isinstance(command, bus.Stop) or len(self._pending) > MOST_LATE:
+        asked.add_done_callback(self._on_request_done)
+        if not (await asyncio.wait({asked}, timeout=ANSWER_TIMEOUT_S))[0]:
+            if not isinstance(command, bus.StopCommand) or len(self._pending) > MAX_LATE_STOPS:
                 asked.cancel()
             raise ServiceError("The acquisition worker does not answer. See the alarms, then try again.")
         answer = asked.result()
@@ -41,19 +41,19 @@ class Commander:
             raise RefusedError(answer.refused)
         return answer.effect
 
-    def _forget(self, asked: asyncio.Task[bus.Answer]) -> None:
-        self._pending.discard(asked)
-        if not asked.cancelled():
-            asked.exception()  # of a stop that was late for good, nobody wants to know any more
+    def _on_request_done(self, request: asyncio.Task[bus.CommandReply]) -> None:
+        self._pending.discard(request)
+        if not request.cancelled():
+            request.exception()  # of a stop that was late for good, nobody wants to know any more
 
-    async def _ask(self, command: bus.Command) -> bus.Answer:
+    async def _request(self, command: bus.AnyCommand) -> bus.CommandReply:
         socket = self._context.socket(zmq.REQ)
         socket.setsockopt(zmq.LINGER, 0)
         socket.connect(self._address)
         try:
-            async with asyncio.timeout(LATE_S):
-                await socket.send(bus.pack_command(command, time.monotonic_ns() + int(ANSWER_S * 1e9)))
-                return bus.unpack_answer(await socket.recv())
+            async with asyncio.timeout(LATE_STOP_TIMEOUT_S):
+                await socket.send(bus.pack_command(command, time.monotonic_ns() + int(ANSWER_TIMEOUT_S * 1e9)))
+                return bus.unpack_reply(await socket.recv())
         finally:
             socket.close()
 

@@ -4,29 +4,29 @@ import asyncio
 from dataclasses import dataclass
 from itertools import cycle
 
-from app.station import Station
+from app.station import ToolService
 from app.wire import Phase
 from config.errors import GraspwatchError
 from config.load import load_protocol
 from config.schema import TissueLibrary
 
-PROTOCOL, STRONG = "trapezoid_2hz", "strong_2hz"
-GRASPS = 2
-STRANGER = "fibrotic_liver"
+NORMAL_PROTOCOL, STRONG_PROTOCOL = "trapezoid_2hz", "strong_2hz"
+GRASPS_PER_SCENE = 2
+OUT_OF_LIBRARY_TISSUE = "fibrotic_liver"
 PAUSE_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DemoScene:
     tissue: str
     protocol: str
     text: str
 
 
-def scenes(library: TissueLibrary) -> list[Scene]:
+def build_scenes(library: TissueLibrary) -> list[DemoScene]:
     """What is shown, in turn."""
     named = [
-        Scene(name, PROTOCOL, f"A grasp of {profile.title.lower()}: the answer should be its name")
+        DemoScene(name, NORMAL_PROTOCOL, f"A grasp of {profile.title.lower()}: the answer should be its name")
         for name, profile in library.tissues.items()
     ]
     weakest = min(library.tissues, key=library.threshold_n)
@@ -34,21 +34,25 @@ def scenes(library: TissueLibrary) -> list[Scene]:
     strong = f"Too strong a grasp of {title}: the limiter holds the motor back before the tissue is hurt"
     return [
         *named,
-        Scene(STRANGER, PROTOCOL, "A liver six times as stiff as any in the library: the answer should be Unknown"),
-        Scene(weakest, STRONG, strong),
+        DemoScene(
+            OUT_OF_LIBRARY_TISSUE,
+            NORMAL_PROTOCOL,
+            "A liver six times as stiff as any in the library: the answer should be Unknown",
+        ),
+        DemoScene(weakest, STRONG_PROTOCOL, strong),
     ]
 
 
-async def demonstrate(station: Station) -> None:
+async def run_demo(tool_service: ToolService) -> None:
     """Run until a person takes over, a run fails, or it is cancelled."""
-    for scene in cycle(scenes(station.plan.library)):
+    for scene in cycle(build_scenes(tool_service.plan.library)):
         await asyncio.sleep(PAUSE_S)
-        while station.demo and station.phase is not Phase.IDLE:
+        while tool_service.demo_text and tool_service.phase is not Phase.IDLE:
             await asyncio.sleep(0.1)
-        if not station.demo:
+        if not tool_service.demo_text:
             return
-        station.demo = scene.text
+        tool_service.demo_text = scene.text
         try:
-            await station.start_run(load_protocol(scene.protocol), GRASPS, scene.tissue, by=None)
+            await tool_service.start_run(load_protocol(scene.protocol), GRASPS_PER_SCENE, scene.tissue, by=None)
         except GraspwatchError:
             continue  # its alarm is on; the next round tries again

@@ -4,38 +4,38 @@ from datetime import date
 
 from app import __version__
 from app.clock import now_ms
-from app.frames import channels
+from app.frames import build_channels
 from app.plan import ServicePlan
 from app.wire import ConstantInfo, ForceScaleInfo, Hello, HoldableInfo, LibraryInfo, SpreadInfo, TissueInfo, ToolInfo
-from config.load import holdable
+from config.load import build_graspable_library
 from config.schema import TissueLibrary, Tool, ToolKind
 
 
-def hello(plan: ServicePlan, tool: Tool, *, recording: bool = False) -> Hello:
+def build_hello(plan: ServicePlan, tool: Tool, *, recording: bool = False) -> Hello:
     """The first message to a viewer of `tool`, or of a recording of it."""
     library, shares = plan.library, plan.settings.warnings
     return Hello(
         version=__version__,
         server_time_ms=now_ms(),
-        tool=tool_info(tool, recording=recording),
-        library=library_info(plan),
-        holdable=_holdable(library) if tool.kind is ToolKind.SIMULATED and not recording else [],
-        lowest_threshold_n=min(library.shown_thresholds_n(tool).values()),
+        tool=build_tool_info(tool, recording=recording),
+        library=build_library_info(plan),
+        holdable=_build_holdable_infos(library) if tool.kind is ToolKind.SIMULATED and not recording else [],
+        lowest_threshold_n=min(library.displayed_thresholds_n(tool).values()),
         decide_at=plan.settings.identification.decide_at,
         warning_shares=[shares.low, shares.medium, shares.high],
-        channels=channels(list(library.tissues)),
+        channels=build_channels(list(library.tissues)),
         frame_rate_hz=plan.settings.server.frame_rate_hz,
     )
 
 
-def _holdable(library: TissueLibrary) -> list[HoldableInfo]:
+def _build_holdable_infos(library: TissueLibrary) -> list[HoldableInfo]:
     return [
         HoldableInfo(name=name, title=profile.title, in_library=name in library.tissues)
-        for name, profile in holdable(library).tissues.items()
+        for name, profile in build_graspable_library(library).tissues.items()
     ]
 
 
-def tool_info(tool: Tool, *, recording: bool = False) -> ToolInfo:
+def build_tool_info(tool: Tool, *, recording: bool = False) -> ToolInfo:
     return ToolInfo(
         name=tool.name,
         title=tool.title,
@@ -43,18 +43,18 @@ def tool_info(tool: Tool, *, recording: bool = False) -> ToolInfo:
         sample_rate_hz=tool.board.sample_rate_hz,
         max_command_v=tool.limits.max_command_v,
         force_ceiling_n=tool.limits.force_ceiling_n,
-        force_scale=force_scale_info(tool),
+        force_scale=build_force_scale_info(tool),
         calibration_date=tool.calibration.date,
         calibrated_by=tool.calibration.person,
     )
 
 
-def force_scale_info(tool: Tool) -> ForceScaleInfo:
+def build_force_scale_info(tool: Tool) -> ForceScaleInfo:
     scale = tool.calibration.jaw_force_scale
-    return ForceScaleInfo(**scale.model_dump(mode="json"), text=tool.scale_in_words)
+    return ForceScaleInfo(**scale.model_dump(mode="json"), text=tool.scale_text)
 
 
-def constant_infos(tool: Tool, today: date) -> list[ConstantInfo]:
+def build_constant_infos(tool: Tool, today: date) -> list[ConstantInfo]:
     return [
         ConstantInfo(
             constant=each.constant,
@@ -64,11 +64,11 @@ def constant_infos(tool: Tool, today: date) -> list[ConstantInfo]:
             expires=each.expires.isoformat() if each.expires else None,
             expired=each.is_expired(today),
         )
-        for each in tool.constants
+        for each in tool.constant_origins
     ]
 
 
-def library_info(plan: ServicePlan) -> LibraryInfo:
+def build_library_info(plan: ServicePlan) -> LibraryInfo:
     library = plan.library
     tissues = [
         TissueInfo(

@@ -22,7 +22,7 @@ TISSUE_COLUMNS = {"probability": "", "force_n": "N", "alpha_n": "N", "beta_per_m
 SD_COLUMNS = ("log_alpha_sd", "log_beta_sd", "log_damping_sd")  # of the natural logarithms, as in `log_sd`
 
 
-def channels(tissues: list[str]) -> list[ChannelInfo]:
+def build_channels(tissues: list[str]) -> list[ChannelInfo]:
     """The columns of a frame in their order."""
     common = [ChannelInfo(name=name, unit=unit) for name, unit in {**SAMPLE_COLUMNS, **ESTIMATE_COLUMNS}.items()]
     of_tissue = TISSUE_COLUMNS | dict.fromkeys(SD_COLUMNS, "")
@@ -30,7 +30,7 @@ def channels(tissues: list[str]) -> list[ChannelInfo]:
     return common + each
 
 
-def columns_of(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:
+def build_frame_columns(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:
     """Float32 columns, (channels, n), of samples and their estimates."""
     rows = [samples[name] for name in SAMPLE_COLUMNS] + [estimates[name] for name in ESTIMATE_COLUMNS]
     for k in range(tissues):
@@ -39,7 +39,7 @@ def columns_of(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.n
     return np.array(rows, np.float32)
 
 
-def pack(kind: FrameKind, sequence: int, first_tick: int, newest_ms: float, columns: np.ndarray) -> bytes:
+def pack_frame(kind: FrameKind, sequence: int, first_tick: int, newest_ms: float, columns: np.ndarray) -> bytes:
     """One binary frame, see app/wire.py."""
     header = FRAME_HEADER.pack(
         FRAME_MAGIC, FRAME_KINDS[kind], 1, len(columns), columns.shape[1], sequence, float(first_tick), newest_ms
@@ -53,7 +53,7 @@ class FrameBuffer:
     def __init__(self, history_samples: int) -> None:
         self._history_samples = history_samples
         self._pending: list[tuple[int, np.ndarray]] = []
-        self._kept: deque[tuple[int, np.ndarray]] = deque()
+        self._history: deque[tuple[int, np.ndarray]] = deque()
         self._kept_samples = 0
         self._sequence = 0
         self._newest_ms = 0.0
@@ -62,26 +62,28 @@ class FrameBuffer:
         self._pending.append((first_tick, columns))
         self._newest_ms = newest_ms
 
-    def cut(self) -> list[bytes]:
+    def cut_frames(self) -> list[bytes]:
         """Frames of what came since the last cut: one, or several where ticks are missing in between."""
         joined, self._pending = _join_consecutive(self._pending), []
         for first_tick, columns in joined:
-            if self._kept and first_tick < self._kept[-1][0]:  # a new source counts from zero again
-                self._kept.clear()
+            if self._history and first_tick < self._history[-1][0]:  # a new source counts from zero again
+                self._history.clear()
                 self._kept_samples = 0
-            self._kept.append((first_tick, columns))
+            self._history.append((first_tick, columns))
             self._kept_samples += columns.shape[1]
         while self._kept_samples > self._history_samples:
-            self._kept_samples -= self._kept.popleft()[1].shape[1]
+            self._kept_samples -= self._history.popleft()[1].shape[1]
         return [self._pack(FrameKind.LIVE, first_tick, columns) for first_tick, columns in joined]
 
-    def history(self) -> list[bytes]:
+    def history_frames(self) -> list[bytes]:
         """The last seconds as frames."""
-        return [self._pack(FrameKind.HISTORY, tick, columns) for tick, columns in _join_consecutive(list(self._kept))]
+        return [
+            self._pack(FrameKind.HISTORY, tick, columns) for tick, columns in _join_consecutive(list(self._history))
+        ]
 
     def _pack(self, kind: FrameKind, first_tick: int, columns: np.ndarray) -> bytes:
         self._sequence = (self._sequence + 1) % 2**32
-        return pack(kind, self._sequence, first_tick, self._newest_ms, columns)
+        return pack_frame(kind, self._sequence, first_tick, self._newest_ms, columns)
 
 
 def _join_consecutive(pieces: list[tuple[int, np.ndarray]]) -> list[tuple[int, np.ndarray]]:

@@ -6,26 +6,26 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from acquisition.control import Acquisition, RunEnd, RunEnded, let_go_text
-from acquisition.limiter import HoldBack
-from acquisition.pipeline import Pipeline
-from acquisition.recordings.playing import Recording
+from acquisition.control import AcquisitionController, EndedRun, RunOutcome, describe_release
+from acquisition.limiter import ForceLimiter
+from acquisition.pipeline import ConditioningPipeline
+from acquisition.recordings.playing import RecordingSource
 from acquisition.safety import Safety
 from acquisition.tools import open_tool
-from app.record.comparing import Comparing, Comparison
-from app.record.headless_file import HeadlessFile, new_run
-from app.record.run_file import Rig
+from app.record.comparing import EstimateComparator, EstimateComparison
+from app.record.headless_file import HeadlessRecorder, create_run
+from app.record.run_file import RecordingContext
 from app.wire import RunState
-from config.schema import Protocol, Settings, TissueLibrary, Tool
+from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 from estimator.blocks import GraspRecord
-from estimator.session import EstimationSession
-from estimator.worker import limit_of
+from estimator.session import TissueEstimator
+from estimator.worker import to_threshold_update
 
 Progress = Callable[[float], None]
 
 
 @dataclass(slots=True)
-class Report:
+class RunSummary:
     """What `--json` prints. SI units; None where there is no value."""
 
     source: str
@@ -34,10 +34,10 @@ class Report:
     samples: int = 0
     lost_samples: int = 0
     grasps: list[GraspRecord] = field(default_factory=list)
-    let_go: list[str] = field(default_factory=list)  # what is told of each grasp that the limiter let go
+    releases: list[str] = field(default_factory=list)  # what is told of each grasp that the limiter let go
     force_scale: str = ""  # by which scale forces are told, for people
     failure: str | None = None  # why a run ended before its protocol
-    comparison: Comparison | None = None  # of a replay with what was recorded
+    comparison: EstimateComparison | None = None  # of a replay with what was recorded
 
     def document(self) -> dict[str, Any]:
         document = {
@@ -49,8 +49,8 @@ class Report:
             "force_scale": self.force_scale,
             "grasps": [asdict(grasp) for grasp in self.grasps],
         }
-        if self.let_go:
-            document["let_go"] = self.let_go
+        if self.releases:
+            document["let_go"] = self.releases
         if self.comparison:
             document["recorded"] = self.comparison.document()
         return document
@@ -60,15 +60,15 @@ def run_protocol(
     tool: Tool,
     library: TissueLibrary,
     settings: Settings,
-    protocol: Protocol,
+    protocol: GraspProtocol,
     tissue: str,
     *,
     cycles: int,
     seed: int,
     real_time: bool,
-    record: Path | None,
+    recording_path: Path | None,
     progress: Progress,
-) -> Report:
+) -> RunSummary:
     """Play a protocol on the simulated grasper and identify what it grasps; `record` is the file to write, if any.
 
     Raises:
@@ -76,46 +76,50 @@ def run_protocol(
         ToolError: the board failed.
         RecordingError: the file exists, or cannot be written.
     """
-    report = Report(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz, force_scale=tool.scale_in_words)
-    session = EstimationSession(tool, library, settings)
+    report = RunSummary(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz, force_scale=tool.scale_text)
+    session = TissueEstimator(tool, library, settings)
     source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
-    run_id = record.stem if record else "run"
-    rig = Rig(tool, library, settings)
-    recorded = HeadlessFile(record, rig, new_run(run_id, protocol.name, cycles, tissue), protocol) if record else None
+    run_id = recording_path.stem if recording_path else "run"
+    rig = RecordingContext(tool, library, settings)
+    recorded = (
+        HeadlessRecorder(recording_path, rig, create_run(run_id, protocol.name, cycles, tissue), protocol)
+        if recording_path
+        else None
+    )
     with source, recorded or contextlib.nullcontext() as file:
-        hold_back = HoldBack(tool, library, settings.limiter)
-        acquisition = Acquisition(source, tool, settings.conditioning, hold_back, Safety.ARMED)
+        hold_back = ForceLimiter(tool, library, settings.limiter)
+        acquisition = AcquisitionController(source, tool, settings.conditioning, hold_back, Safety.ARMED)
         acquisition.start(run_id, protocol, cycles)
-        ended: list[RunEnded] = []
+        ended: list[EndedRun] = []
         while not ended:
-            block = acquisition.turn()
+            block = acquisition.process_block()
             assert block is not None, "a tool's samples have no end"
             report.samples += len(block.samples)
             report.lost_samples += block.lost_samples
             estimate = session.process(block)
             if file:
-                file.take(block, estimate)
+                file.append(block, estimate)
             report.grasps += estimate.ended
-            limit = limit_of(estimate.identification)
-            acquisition.allow(limit.threshold_n, limit.tick)
-            for why in acquisition.take_let_go():
-                report.let_go.append(let_go_text(why))
+            limit = to_threshold_update(estimate.identification)
+            acquisition.set_threshold(limit.threshold_n, limit.tick)
+            for why in acquisition.pop_release_reasons():
+                report.releases.append(describe_release(why))
                 if file:
-                    file.let_go(report.let_go[-1])
-            ended = acquisition.take_ended()
+                    file.add_release_alarm(report.releases[-1])
+            ended = acquisition.pop_ended_runs()
             progress(report.samples / tool.board.sample_rate_hz)
         last = session.finish()
         if file:
-            file.cut_short(last)
-            file.run_ended(RunState(ended[0].end), ended[0].why)
+            file.add_interrupted_grasp(last)
+            file.end_run(RunState(ended[0].end), ended[0].why)
     if last:
         report.grasps.append(last)
-    if ended[0].end is RunEnd.FAILED:
+    if ended[0].end is RunOutcome.FAILED:
         report.failure = f"The run was ended early with the motor at zero: {ended[0].why}."
     return report
 
 
-def replay_recording(recording: Recording, rig: Rig, progress: Progress) -> Report:
+def replay_recording(recording: RecordingSource, recording_context: RecordingContext, progress: Progress) -> RunSummary:
     """Take a recording through calibration, conditioning, estimation and identification.
 
     Of a recorded run nothing but the run itself is taken, and its estimates are compared with those recorded.
@@ -123,11 +127,15 @@ def replay_recording(recording: Recording, rig: Rig, progress: Progress) -> Repo
     Raises:
         RecordingError: the file is damaged; names the place.
     """
-    tool, library, settings = rig.tool, rig.library, rig.settings
-    report = Report(str(recording.path), library.name, tool.board.sample_rate_hz, force_scale=tool.scale_in_words)
-    pipeline = Pipeline(tool, settings.conditioning)
-    session = EstimationSession(tool, library, settings)
-    comparing = Comparing(recording.container, rig, recording.first_tick) if recording.container else None
+    tool, library, settings = recording_context.tool, recording_context.library, recording_context.settings
+    report = RunSummary(str(recording.path), library.name, tool.board.sample_rate_hz, force_scale=tool.scale_text)
+    pipeline = ConditioningPipeline(tool, settings.conditioning)
+    session = TissueEstimator(tool, library, settings)
+    comparing = (
+        EstimateComparator(recording.mcap_file, recording_context, recording.first_tick)
+        if recording.mcap_file
+        else None
+    )
     recording.skip_to_run()
     with recording:
         while (raw := recording.read_block()) is not None:
@@ -136,8 +144,8 @@ def replay_recording(recording: Recording, rig: Rig, progress: Progress) -> Repo
             estimate = session.process(pipeline.process(raw))
             report.grasps += estimate.ended
             if comparing:
-                comparing.take(estimate.estimates)
-            progress(report.samples / recording.samples)
+                comparing.compare(estimate.estimates)
+            progress(report.samples / recording.sample_count)
     if last := session.finish():
         report.grasps.append(last)
     report.comparison = comparing.result if comparing else None

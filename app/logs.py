@@ -15,36 +15,36 @@ from pathlib import Path
 
 from pythonjsonlogger.json import JsonFormatter
 
-from config.schema import LogFormat, Logs
+from config.schema import LogFormat, LogSettings
 
-MOST_LINES = 1000
-LAST_WORDS_S = 0.2
-FILE_BYTES, FILES = 2_000_000, 5
-FOLDER, FILE = "logs", "graspwatch.jsonl"
+MAX_QUEUED_LINES = 1000
+FLUSH_TIMEOUT_S = 0.2
+MAX_FILE_BYTES, MAX_FILES = 2_000_000, 5
+LOG_FOLDER, LOG_FILE = "logs", "graspwatch.jsonl"
 
 
 @dataclass(slots=True)
-class About:
+class LogContext:
     """What is under way, for the lines that are logged meanwhile."""
 
     run: str | None = None
     grasp: int | None = None
 
 
-class LogsAside(logging.Handler):
+class QueuedLogHandler(logging.Handler):
     """A paused terminal or a full pipe blocks whoever writes to it; here that is a thread, and lines are dropped."""
 
-    def __init__(self, target: logging.Handler, level: int, about: About) -> None:
+    def __init__(self, target: logging.Handler, level: int, log_context: LogContext) -> None:
         super().__init__(level)
-        self._target, self._about = target, about
-        self._records: queue.Queue[logging.LogRecord] = queue.Queue(MOST_LINES)
+        self._target, self._log_context = target, log_context
+        self._records: queue.Queue[logging.LogRecord] = queue.Queue(MAX_QUEUED_LINES)
         self._dropped = 0
-        threading.Thread(target=self._write, name="logs", daemon=True).start()
+        threading.Thread(target=self._write_loop, name="logs", daemon=True).start()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Take a line, or count it where there are too many."""
         record.msg, record.args = record.getMessage(), None  # as it is now
-        record.run, record.grasp = self._about.run, self._about.grasp
+        record.run, record.grasp = self._log_context.run, self._log_context.grasp
         try:
             self._records.put_nowait(record)
         except queue.Full:
@@ -52,47 +52,51 @@ class LogsAside(logging.Handler):
 
     def close(self) -> None:
         """Wait for the last lines, but not for long."""
-        end_s = time.monotonic() + LAST_WORDS_S
+        end_s = time.monotonic() + FLUSH_TIMEOUT_S
         while self._records.unfinished_tasks and time.monotonic() < end_s:
             time.sleep(0.01)
         super().close()
 
-    def _write(self) -> None:
+    def _write_loop(self) -> None:
         while True:
             record, dropped = self._records.get(), self._dropped
             self._target.handle(record)
             if dropped:
                 self._dropped -= dropped
-                self._target.handle(_warning(f"{dropped} lines before this one were dropped: nobody read them"))
+                self._target.handle(_make_warning(f"{dropped} lines before this one were dropped: nobody read them"))
             self._records.task_done()
 
 
-class _File(RotatingFileHandler):
+class _SilentRotatingFileHandler(RotatingFileHandler):
     """A full disk is told by an alarm; here its lines are lost."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Nothing."""
 
 
-def log_aside(settings: Logs, data: Path, about: About) -> None:
+def configure_logging(settings: LogSettings, data: Path, log_context: LogContext) -> None:
     """From here on, for the whole process; lines are about what `about` says when they are logged."""
     fields = ("levelname", "name", "message", "run", "grasp")
     as_json = JsonFormatter(fields, timestamp="at", rename_fields={"levelname": "level", "name": "logger"})
     as_text = logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
     output = logging.StreamHandler(sys.stderr)
     output.setFormatter(as_json if settings.format is LogFormat.JSON else as_text)
-    handlers: list[logging.Handler] = [LogsAside(output, logging.getLevelName(settings.level.upper()), about)]
+    handlers: list[logging.Handler] = [
+        QueuedLogHandler(output, logging.getLevelName(settings.level.upper()), log_context)
+    ]
     if settings.keep:
-        folder = data / FOLDER
+        folder = data / LOG_FOLDER
         folder.mkdir(mode=0o700, exist_ok=True)
-        file = _File(folder / FILE, maxBytes=FILE_BYTES, backupCount=FILES - 1, encoding="utf-8", delay=True)
+        file = _SilentRotatingFileHandler(
+            folder / LOG_FILE, maxBytes=MAX_FILE_BYTES, backupCount=MAX_FILES - 1, encoding="utf-8", delay=True
+        )
         file.setFormatter(as_json)
-        handlers.append(LogsAside(file, logging.INFO, about))
+        handlers.append(QueuedLogHandler(file, logging.INFO, log_context))
     logging.basicConfig(handlers=handlers, level=logging.WARNING, force=True)
     logging.getLogger("graspwatch").setLevel(logging.INFO)
 
 
-def _warning(text: str) -> logging.LogRecord:
+def _make_warning(text: str) -> logging.LogRecord:
     record = logging.LogRecord("graspwatch", logging.WARNING, __file__, 0, text, None, None)
     record.run = record.grasp = None
     return record

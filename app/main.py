@@ -16,21 +16,26 @@ from starlette.middleware.base import RequestResponseEndpoint
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app import __version__, problems
-from app.audit.deeds import Deeds
-from app.audit.watch import ChainWatch
-from app.bench.desk import CalibrationDesk
-from app.demo import demonstrate
-from app.logs import About, log_aside
-from app.people.door import Loop, WebSocketDoor, allow_many_files, bounded
-from app.people.gate import Gate
-from app.people.guard import Guard
-from app.people.rights import describe, open_paths, rights_of
-from app.people.roles import ANYBODY
+from app.audit.deeds import AuditMiddleware
+from app.audit.watch import JournalWatch
+from app.bench.desk import CalibrationSession
+from app.demo import run_demo
+from app.logs import LogContext, configure_logging
+from app.people.door import (
+    LingeringWebSocketProtocol,
+    TlsTimeoutEventLoop,
+    make_connection_limiter,
+    raise_open_file_limit,
+)
+from app.people.gate import AuthMiddleware
+from app.people.guard import Authenticator
+from app.people.rights import add_roles_to_openapi, collect_route_permissions, find_public_paths
+from app.people.roles import PUBLIC_ROUTE
 from app.plan import ServicePlan
 from app.recording_bin import RecordingBin
-from app.replay.films import Films
-from app.replay.shelf import Shelf
-from app.report.reports import Reports
+from app.replay.films import ReplayCacheStore
+from app.replay.shelf import RecordingCatalog
+from app.report.reports import ReportCache
 from app.routes import (
     alarms,
     audit,
@@ -46,25 +51,27 @@ from app.routes import (
     studies,
     system,
 )
-from app.station import Station
-from app.store.opening import open_for_service
-from app.study.desk import StudyDesk
+from app.station import ToolService
+from app.store.opening import open_store_for_service
+from app.study.desk import StudyRunner
 from config.errors import ServiceError
 
-STATIC = Path(__file__).parent / "static"
-DEAD_READER_MS = 10_000
-PAGES = ("/", "/recordings", "/recordings/{name}", "/tissues", "/studies", "/system", "/calibration")
-DOCUMENTATION = ("/docs", "/redoc", "/static-offline-docs")
-POLICY = "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
-DOCUMENTATION_POLICY = "default-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'"
-HEADERS = {
+STATIC_FOLDER = Path(__file__).parent / "static"
+TCP_USER_TIMEOUT_MS = 10_000
+DASHBOARD_PATHS = ("/", "/recordings", "/recordings/{name}", "/tissues", "/studies", "/system", "/calibration")
+DOCUMENTATION_PATHS = ("/docs", "/redoc", "/static-offline-docs")
+CONTENT_SECURITY_POLICY = (
+    "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
+DOCUMENTATION_SECURITY_POLICY = "default-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'"
+SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-ROUTES = (
+ROUTE_MODULES = (
     runs,
     control,
     calibration,
@@ -79,9 +86,9 @@ ROUTES = (
     bin,
     live,
 )
-ROUTERS = tuple(each.router for each in ROUTES)
-LONGEST_WORD_BYTES = 65_536  # of a viewer
-GRACE_S = 0.3
+ROUTERS = tuple(each.router for each in ROUTE_MODULES)
+MAX_WEBSOCKET_MESSAGE_BYTES = 65_536  # of a viewer
+SHUTDOWN_GRACE_S = 0.3
 """At the end, for answers that are under way; a download that takes longer is cut."""
 
 
@@ -91,22 +98,22 @@ def create_app(plan: ServicePlan) -> FastAPI:
     Raises:
         GraspwatchError: the index cannot be opened, or the file of people not be read.
     """
-    guard = Guard(plan)
-    store = open_for_service(plan.index_url, plan.data)
+    guard = Authenticator(plan)
+    store = open_store_for_service(plan.index_url, plan.data_folder)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        station = app.state.station = Station(plan, store, app.state.about)
-        app.state.calibration = CalibrationDesk(plan, station)
-        desk = StudyDesk(plan.studies_folder, lambda text, by: station.tell_event(text, by=by))
-        index = contextlib.aclosing(station.index)  # closed last: whatever ends has something to tell
-        films, reports, shelf = Films(plan), Reports(plan), contextlib.aclosing(Shelf(plan))
+        station = app.state.station = ToolService(plan, store, app.state.about)
+        app.state.calibration = CalibrationSession(plan, station)
+        desk = StudyRunner(plan.studies_folder, lambda text, by: station.publish_event(text, by=by))
+        index = contextlib.aclosing(station.index_writer)  # closed last: whatever ends has something to tell
+        films, reports, shelf = ReplayCacheStore(plan), ReportCache(plan), contextlib.aclosing(RecordingCatalog(plan))
         await station.start()
         recording_bin = contextlib.aclosing(RecordingBin(plan, station, films, reports))
-        chain = contextlib.aclosing(ChainWatch(plan.data, station.index, station.alarms))
-        watch = asyncio.create_task(guard.watch(station))
-        station.watch_over(watch)
-        demo = asyncio.create_task(demonstrate(station)) if plan.demo else None
+        chain = contextlib.aclosing(JournalWatch(plan.data_folder, station.index_writer, station.alarms))
+        watch = asyncio.create_task(guard.watch_token_file(station))
+        station.supervise_task(watch)
+        demo = asyncio.create_task(run_demo(station)) if plan.demo_enabled else None
         async with (
             index,
             desk as app.state.studies,
@@ -130,48 +137,51 @@ def create_app(plan: ServicePlan) -> FastAPI:
         description="Watches a laparoscopic grasper close on tissue. Research instrument, not a medical device.",
         lifespan=lifespan,
     )
-    app.state.guard, app.state.about = guard, About()
-    rights = rights_of(ROUTERS)
-    describe(app, rights)
-    problems.install(app)
+    app.state.guard, app.state.about = guard, LogContext()
+    rights = collect_route_permissions(ROUTERS)
+    add_roles_to_openapi(app, rights)
+    problems.add_error_handlers(app)
     for router in ROUTERS:
         app.include_router(router)
     app.add_middleware(
-        Gate, guard=guard, open_paths=open_paths(rights), most_body_bytes=plan.settings.server.most_body_bytes
+        AuthMiddleware,
+        authenticator=guard,
+        public_paths=find_public_paths(rights),
+        max_body_bytes=plan.settings.server.most_body_bytes,
     )
     app.middleware("http")(_add_security_headers)
-    app.add_middleware(Deeds)
-    app.add_middleware(HeadAsGet)
-    if (STATIC / "index.html").is_file():
-        for page in PAGES:
-            app.get(page, dependencies=[ANYBODY], include_in_schema=False)(_dashboard)
-        app.mount("/", StaticFiles(directory=STATIC), name="dashboard")
+    app.add_middleware(AuditMiddleware)
+    app.add_middleware(HeadAsGetMiddleware)
+    if (STATIC_FOLDER / "index.html").is_file():
+        for page in DASHBOARD_PATHS:
+            app.get(page, dependencies=[PUBLIC_ROUTE], include_in_schema=False)(serve_dashboard_page)
+        app.mount("/", StaticFiles(directory=STATIC_FOLDER), name="dashboard")
     else:
-        app.get("/", dependencies=[ANYBODY], include_in_schema=False)(_dashboard_missing)
+        app.get("/", dependencies=[PUBLIC_ROUTE], include_in_schema=False)(serve_dashboard_missing)
     return app
 
 
-async def _dashboard() -> FileResponse:
+async def serve_dashboard_page() -> FileResponse:
     """Every page is the same document; it shows what its address says."""
-    return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
+    return FileResponse(STATIC_FOLDER / "index.html", headers={"Cache-Control": "no-cache"})
 
 
-async def _dashboard_missing() -> Response:
+async def serve_dashboard_missing() -> Response:
     return Response("The dashboard has not been built. Run `make dashboard`, then start again.", 503)
 
 
 async def _add_security_headers(request: Request, call_next: RequestResponseEndpoint) -> Response:
     response = await call_next(request)
-    documentation = request.scope["path"].startswith(DOCUMENTATION)  # its pages carry a script of their own
-    policy = DOCUMENTATION_POLICY if documentation else POLICY
+    documentation = request.scope["path"].startswith(DOCUMENTATION_PATHS)  # its pages carry a script of their own
+    policy = DOCUMENTATION_SECURITY_POLICY if documentation else CONTENT_SECURITY_POLICY
     response.headers.setdefault("Content-Security-Policy", policy)  # a route may have set a narrower one
     if request.scope["path"].startswith("/api/"):
         response.headers.setdefault("Cache-Control", "no-store")
-    response.headers.update(HEADERS)
+    response.headers.update(SECURITY_HEADERS)
     return response
 
 
-class HeadAsGet:
+class HeadAsGetMiddleware:
     """Middleware: HEAD is answered as GET is; the server that runs the application leaves out the body (RFC 9110)."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -183,7 +193,7 @@ class HeadAsGet:
         await self._app(scope, receive, send)
 
 
-def listen(host: str, port: int) -> socket.socket:
+def open_listener(host: str, port: int) -> socket.socket:
     """A listening socket that gives up on readers that never read. An IPv6 address may stand in brackets.
 
     Raises:
@@ -195,7 +205,7 @@ def listen(host: str, port: int) -> socket.socket:
         family, socket.SOCK_STREAM, socket.IPPROTO_TCP
     )  # unless TCP is named, asyncio lets Nagle wait
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_READER_MS)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, TCP_USER_TIMEOUT_MS)
     try:
         listener.bind((host, port))
     except OSError as error:
@@ -211,13 +221,13 @@ def listen(host: str, port: int) -> socket.socket:
 def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
     """Serve until SIGINT or SIGTERM."""
     server = plan.settings.server
-    log_aside(plan.settings.logs, plan.data, app.state.about)
+    configure_logging(plan.settings.logs, plan.data_folder, app.state.about)
     config = uvicorn.Config(
         app,
-        http=bounded(server.most_connections),
-        ws=WebSocketDoor,
+        http=make_connection_limiter(server.most_connections),
+        ws=LingeringWebSocketProtocol,
         ws_per_message_deflate=False,
-        ws_max_size=LONGEST_WORD_BYTES,
+        ws_max_size=MAX_WEBSOCKET_MESSAGE_BYTES,
         ssl_certfile=server.tls_cert,
         ssl_keyfile=server.tls_key,
         server_header=False,
@@ -225,11 +235,11 @@ def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
         log_level="warning",
         access_log=False,
         proxy_headers=False,  # who asks is whose address it is; what a proxy says of that is noted as said
-        timeout_graceful_shutdown=GRACE_S,
+        timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
     )
-    logging.getLogger("uvicorn.error").addFilter(_is_news)
-    allow_many_files()
-    with asyncio.Runner(loop_factory=Loop) as runner:
+    logging.getLogger("uvicorn.error").addFilter(_is_no_refused_handshake)
+    raise_open_file_limit()
+    with asyncio.Runner(loop_factory=TlsTimeoutEventLoop) as runner:
         runner.run(_Server(config, app).serve(sockets=[listener]))
 
 
@@ -245,6 +255,6 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def _is_news(record: logging.LogRecord) -> bool:
+def _is_no_refused_handshake(record: logging.LogRecord) -> bool:
     """uvicorn takes a WebSocket that was refused with an answer for a failure, and would say so for each of a flood."""
     return "without completing handshake" not in record.getMessage()

@@ -45,7 +45,7 @@ class Metrics:
             "graspwatch_missing_blocks", "Blocks lost between the workers, by receiver", ["receiver"], registry=registry
         )
         self.grasps = Counter("graspwatch_grasps", "Finished grasps, by label", ["label"], registry=registry)
-        self.index_left_out = Gauge(
+        self.index_dropped_messages = Gauge(
             "graspwatch_index_left_out", "Messages that the index lacks until it is rebuilt", registry=registry
         )
         self.viewers = Gauge("graspwatch_viewers", "Connected viewers", registry=registry)
@@ -74,12 +74,12 @@ class Metrics:
             "graspwatch_worker_deaths", "Workers that died, by worker", ["worker"], registry=registry
         )
 
-    def tell_alarms(self, alarms: list[Alarm]) -> None:
+    def set_alarm_counts(self, alarms: list[Alarm]) -> None:
         """How many of each kind and priority there are, none included."""
         for kind in AlarmKind:
             for priority in Priority:
                 count = sum(each.kind is kind and each.priority is priority for each in alarms)
                 self.alarms.labels(kind.value, priority.value).set(count)
 
-    def text(self) -> bytes:
+    def render(self) -> bytes:
         return generate_latest(self._registry)

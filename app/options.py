@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from config.errors import ConfigurationError
 from config.schema import Settings
 
-errors = Console(stderr=True, highlight=False)
+error_console = Console(stderr=True, highlight=False)
 
 LibraryOption = Annotated[
     str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
@@ -31,19 +31,19 @@ TlsCertOption = Annotated[
     Path | None, typer.Option("--tls-cert", metavar="FILE", help="Certificate (PEM) for https, with --tls-key.")
 ]
 TlsKeyOption = Annotated[Path | None, typer.Option("--tls-key", metavar="FILE", help="The certificate's key (PEM).")]
-RECORDED_WITH = "smart_tool_2013"
+DEFAULT_RECORDING_TOOL = "smart_tool_2013"
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of config/graspwatch.toml.")
 ]
 
 
-def data_folder(wanted: Path | None, settings: Settings) -> Path:
+def prepare_data_folder(folder_option: Path | None, settings: Settings) -> Path:
     """The folder for everything that is kept, made where it is missing.
 
     Raises:
         ConfigurationError: it cannot be made or written to.
     """
-    folder = wanted or Path(settings.data_folder)
+    folder = folder_option or Path(settings.data_folder)
     try:
         for name in ("recordings", "studies"):
             (folder / name).mkdir(parents=True, exist_ok=True)
@@ -61,7 +61,7 @@ class ProgressBar:
 
     def __init__(self, title: str, total: float) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
+        self._bar = Progress(*columns, console=error_console, transient=True, disable=not error_console.is_terminal)
         self._task = self._bar.add_task(title, total=total)
         self._due_s = 0.0
 

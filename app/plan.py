@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sqlalchemy import URL
 
-from app.store.database import index_url_of
+from app.store.database import index_url_from_settings
 from config.schema import Settings, TissueLibrary, Tool
 
 
@@ -21,12 +21,12 @@ class ServicePlan:
     tool: Tool
     library: TissueLibrary
     settings: Settings
-    tissue: str
+    simulated_tissue: str
     seed: int
-    data: Path
-    recorded_with: Tool
-    opened: tuple[Path, ...] = ()
-    demo: bool = False
+    data_folder: Path
+    recording_tool: Tool
+    opened_recordings: tuple[Path, ...] = ()
+    demo_enabled: bool = False
     tool_source: str = ""
 
     @property
@@ -36,16 +36,16 @@ class ServicePlan:
         Raises:
             ConfigurationError: the setting is no address of a database.
         """
-        return index_url_of(self.settings, self.data)
+        return index_url_from_settings(self.settings, self.data_folder)
 
     @property
     def recordings_folder(self) -> Path:
-        return self.data / "recordings"
+        return self.data_folder / "recordings"
 
     @property
     def studies_folder(self) -> Path:
-        return self.data / "studies"
+        return self.data_folder / "studies"
 
     @property
     def reports_folder(self) -> Path:
-        return self.data / "reports"
+        return self.data_folder / "reports"

@@ -11,7 +11,7 @@ from starlette.exceptions import HTTPException
 from app.wire import Problem
 from config.errors import GraspwatchError, RefusedError, ServiceError
 
-PROBLEM = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}
+PROBLEM_RESPONSE = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}
 
 
 class ProblemError(Exception):
@@ -25,17 +25,17 @@ class ProblemError(Exception):
 
     def response(self) -> JSONResponse:
         errors = [{"field": self.field, "message": self.detail}] if self.field else None
-        return _answer(self.status, self.detail, errors, self.headers)
+        return _problem_response(self.status, self.detail, errors, self.headers)
 
 
-def _answer(
+def _problem_response(
     status: int, detail: str, errors: list[dict[str, str]] | None = None, headers: Mapping[str, str] | None = None
 ) -> JSONResponse:
     problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, errors=errors)
     return JSONResponse(problem.model_dump(exclude_none=True), status, headers, media_type="application/problem+json")
 
 
-def install(app: FastAPI) -> None:
+def add_error_handlers(app: FastAPI) -> None:
     """Answer every error of `app` as a problem."""
 
     @app.exception_handler(ProblemError)
@@ -52,20 +52,20 @@ def install(app: FastAPI) -> None:
             for fault in error.errors()
         ]
         detail = "; ".join(f"{fault['field']}: {fault['message']}" for fault in errors)
-        return _answer(HTTPStatus.UNPROCESSABLE_ENTITY, detail, errors)
+        return _problem_response(HTTPStatus.UNPROCESSABLE_ENTITY, detail, errors)
 
     @app.exception_handler(ServiceError)
-    async def on_part_missing(request: Request, error: ServiceError) -> JSONResponse:
-        return _answer(HTTPStatus.SERVICE_UNAVAILABLE, str(error))
+    async def on_service_error(request: Request, error: ServiceError) -> JSONResponse:
+        return _problem_response(HTTPStatus.SERVICE_UNAVAILABLE, str(error))
 
     @app.exception_handler(RefusedError)
     async def on_refused(request: Request, error: RefusedError) -> JSONResponse:
-        return _answer(HTTPStatus.CONFLICT, str(error))
+        return _problem_response(HTTPStatus.CONFLICT, str(error))
 
     @app.exception_handler(GraspwatchError)
-    async def on_fault(request: Request, error: GraspwatchError) -> JSONResponse:
-        return _answer(HTTPStatus.INTERNAL_SERVER_ERROR, str(error))
+    async def on_graspwatch_error(request: Request, error: GraspwatchError) -> JSONResponse:
+        return _problem_response(HTTPStatus.INTERNAL_SERVER_ERROR, str(error))
 
     @app.exception_handler(HTTPException)
     async def on_http(request: Request, error: HTTPException) -> JSONResponse:
-        return _answer(error.status_code, str(error.detail), headers=error.headers)
+        return _problem_response(error.status_code, str(error.detail), headers=error.headers)

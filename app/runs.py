@@ -6,25 +6,25 @@ from datetime import UTC, datetime
 
 from app.wire import Grasp, Run, RunState
 
-RUNS_KEPT = 1_000
+MAX_RUNS = 1_000
 
 
 @dataclass(slots=True)
-class _Entry:
+class _RunEntry:
     run: Run
     start_tick: int
-    epoch: int
+    tick_epoch: int
     grasps: list[Grasp] = field(default_factory=list)
 
 
-class RunBook:
+class RunRegistry:
     """The last runs of this service, oldest first."""
 
     def __init__(self) -> None:
-        self._entries: dict[str, _Entry] = {}
-        self._count = 0
-        self._mark = secrets.token_hex(2)  # two services that share an index may start a run in the same second
-        self._epoch = 0
+        self._entries: dict[str, _RunEntry] = {}
+        self._run_count = 0
+        self._service_id = secrets.token_hex(2)  # two services that share an index may start a run in the same second
+        self._tick_epoch = 0
         self.current_id: str | None = None
 
     @property
@@ -35,24 +35,24 @@ class RunBook:
     def last(self) -> Run | None:
         return next((entry.run for entry in reversed(self._entries.values())), None)
 
-    def all(self) -> list[Run]:
+    def list_runs(self) -> list[Run]:
         return [entry.run for entry in self._entries.values()]
 
     def get(self, run_id: str) -> Run | None:
         entry = self._entries.get(run_id)
         return entry.run if entry else None
 
-    def grasps(self, run_id: str) -> list[Grasp]:
+    def list_grasps(self, run_id: str) -> list[Grasp]:
         return self._entries[run_id].grasps
 
     def begin(
         self, protocol: str, cycles: int, tissue: str | None, by: str | None, start_tick: int, prefix: str = ""
     ) -> Run:
         """A new run, under way from now on; its grasps begin after `start_tick`, its id with `prefix`."""
-        self._count += 1
+        self._run_count += 1
         now = datetime.now(UTC)
         run = Run(
-            id=f"{prefix}{now:%Y%m%d-%H%M%S}-{self._mark}-{self._count:03d}",
+            id=f"{prefix}{now:%Y%m%d-%H%M%S}-{self._service_id}-{self._run_count:03d}",
             protocol=protocol,
             cycles=cycles,
             tissue=tissue,
@@ -63,13 +63,13 @@ class RunBook:
             why=None,
             grasps=0,
         )
-        self._entries[run.id] = _Entry(run, start_tick, self._epoch)
+        self._entries[run.id] = _RunEntry(run, start_tick, self._tick_epoch)
         self.current_id = run.id
-        while len(self._entries) > RUNS_KEPT:
+        while len(self._entries) > MAX_RUNS:
             del self._entries[next(iter(self._entries))]
         return run
 
-    def forget(self, run_id: str) -> None:
+    def discard(self, run_id: str) -> None:
         """The run was refused: it never was."""
         self._entries.pop(run_id, None)
         if self.current_id == run_id:
@@ -84,16 +84,16 @@ class RunBook:
         self.current_id = None
         return True
 
-    def keep(self, grasp: Grasp, start_tick: int) -> tuple[str | None, Grasp]:
+    def add_grasp(self, grasp: Grasp, start_tick: int) -> tuple[str | None, Grasp]:
         """File a finished grasp under the run in which it began; returns that run and the grasp as numbered there."""
         for run_id, entry in reversed(self._entries.items()):
-            if entry.epoch == self._epoch and entry.start_tick <= start_tick:
+            if entry.tick_epoch == self._tick_epoch and entry.start_tick <= start_tick:
                 grasp = grasp.model_copy(update={"index": len(entry.grasps) + 1})
                 entry.grasps.append(grasp)
                 entry.run = entry.run.model_copy(update={"grasps": len(entry.grasps)})
                 return run_id, grasp
         return None, grasp
 
-    def ticks_begin_anew(self) -> None:
+    def reset_ticks(self) -> None:
         """The acquisition was restarted: its ticks count from zero again."""
-        self._epoch += 1
+        self._tick_epoch += 1

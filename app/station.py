@@ -15,31 +15,31 @@ from pydantic import BaseModel
 
 from acquisition import bus
 from acquisition.blocks import SampleBlock
-from acquisition.process import serving_priority
+from acquisition.process import take_server_priority
 from acquisition.safety import Safety
-from app.alarms import AlarmBook
-from app.arming import CALIBRATING, Arming
-from app.clock import now_ms, wall_ms
+from app.alarms import AlarmManager
+from app.arming import CALIBRATION_ARM_REASON, ArmingController
+from app.clock import monotonic_to_wall_ms, now_ms
 from app.commander import Commander
-from app.describe import hello
+from app.describe import build_hello
 from app.disk import free_bytes
 from app.frames import FrameBuffer
-from app.joiner import Joiner
+from app.joiner import SampleAligner
 from app.journal import Journal
-from app.live import Hub
-from app.logs import About
+from app.live import ViewerHub
+from app.logs import LogContext
 from app.metrics import Metrics
-from app.people.lease import Control
+from app.people.lease import ControlLease
 from app.plan import ServicePlan
 from app.record.link import RecorderLink
-from app.record.recorder import DEMONSTRATION, Brief
-from app.runs import RunBook
-from app.store.keeper import Index
-from app.store.rebuild import BEHIND_MARKER
+from app.record.recorder import DEMO_ID_PREFIX, RunMetadata
+from app.runs import RunRegistry
+from app.store.keeper import IndexWriter
+from app.store.rebuild import BEHIND_MARKER_FILE
 from app.store.store import Store
-from app.store.taking import Indexed
-from app.supervisor import Condition, Supervisor
-from app.teller import Teller
+from app.store.taking import IndexedMessage
+from app.supervisor import Supervisor, WorkerCondition
+from app.teller import EventTranslator
 from app.watchdog import Watchdog
 from app.wire import (
     AlarmKind,
@@ -55,103 +55,107 @@ from app.wire import (
     State,
 )
 from config.errors import GraspwatchError, RefusedError, ServiceError
-from config.load import holdable
-from config.schema import Protocol, ToolKind
-from estimator.blocks import finite
+from config.load import build_graspable_library
+from config.schema import GraspProtocol, ToolKind
+from estimator.blocks import finite_or_none
 from estimator.worker import unpack_estimates
 
-GRASPS_TOLD = 200  # of the last run, to a viewer who comes
-MOST_AT_A_TIME = 50  # messages of the workers, before anything else gets its turn
-LITTLE_DISK_BYTES = 200e6  # a few minutes of a recording
-LOSS_SHOWN_S = 5.0
-SIGN_OF_LIFE_S = 0.05
+MAX_INITIAL_GRASPS = 200  # of the last run, to a viewer who comes
+MAX_MESSAGES_PER_TURN = 50  # messages of the workers, before anything else gets its turn
+LOW_DISK_BYTES = 200e6  # a few minutes of a recording
+LOSS_ALARM_DURATION_S = 5.0
+HEARTBEAT_PERIOD_S = 0.05
 """From one to the next; a run ends when they stop for `server_silence_s`, which is at least six of them."""
-LATE_S = 0.1  # samples read later than this are told
-CLOCK_DRIFT_S = 5e-7  # a block: 100 ppm between the board's clock and the computer's
+LATE_SAMPLES_S = 0.1  # samples read later than this are told
+CLOCK_DRIFT_PER_BLOCK_S = 5e-7  # a block: 100 ppm between the board's clock and the computer's
 
 
-class Station:
+class ToolService:
     """One tool, its runs, its viewers."""
 
-    def __init__(self, plan: ServicePlan, store: Store, about: About) -> None:
-        self.plan, self.about = plan, about
+    def __init__(self, plan: ServicePlan, store: Store, log_context: LogContext) -> None:
+        self.plan, self.log_context = plan, log_context
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
         self.metrics = Metrics()
-        self.hub = Hub(plan.settings.server.chart_window_frames)
-        self.index = Index(store, plan.data / BEHIND_MARKER, self._on_index)
-        self.journal = Journal(plan.data, self._on_journal, self._keep)
-        self.alarms = AlarmBook(self._tell, self.journal)
-        self.supervisor = Supervisor(plan, self._on_death, self._on_motor, self.watch_over)
-        self.watchdog = Watchdog(self.supervisor, self.alarms, self.tell_event)
-        self.runs = RunBook()
-        self.control = Control(plan.settings.people.control_expires_s)
-        self.demo: str | None = "The demonstration begins as soon as the tool is ready" if plan.demo else None
+        self.viewer_hub = ViewerHub(plan.settings.server.chart_window_frames)
+        self.index_writer = IndexWriter(store, plan.data_folder / BEHIND_MARKER_FILE, self._on_index_fault)
+        self.journal = Journal(plan.data_folder, self._on_journal_fault, self._record)
+        self.alarms = AlarmManager(self._publish, self.journal)
+        self.supervisor = Supervisor(plan, self._on_worker_death, self._on_motor_fault, self.supervise_task)
+        self.watchdog = Watchdog(self.supervisor, self.alarms, self.publish_event)
+        self.runs = RunRegistry()
+        self.control_lease = ControlLease(plan.settings.people.control_expires_s)
+        self.demo_text: str | None = (
+            "The demonstration begins as soon as the tool is ready" if plan.demo_enabled else None
+        )
         self.internal_error: str | None = None
-        self.simulated_tissue = plan.tissue if plan.tool.kind is ToolKind.SIMULATED else None
-        self._context, self._sources = zmq.asyncio.Context(), zmq.Context()
+        self.simulated_tissue = plan.simulated_tissue if plan.tool.kind is ToolKind.SIMULATED else None
+        self._context, self._subscriber_context = zmq.asyncio.Context(), zmq.Context()
         self._commander = Commander(self._context, self.supervisor.endpoints.commands)
-        self.arming = Arming(self._commander, self.alarms, self.supervisor, self.tell_event)
-        self.recorder = RecorderLink(plan, self.supervisor.endpoints.events, self.alarms, self.index, self.tell_event)
+        self.arming = ArmingController(self._commander, self.alarms, self.supervisor, self.publish_event)
+        self.recorder_link = RecorderLink(
+            plan, self.supervisor.endpoints.events, self.alarms, self.index_writer, self.publish_event
+        )
         self._tasks: list[asyncio.Task[None]] = []
         rate_hz, tissues = plan.tool.board.sample_rate_hz, len(plan.library.tissues)
-        self._frames = FrameBuffer(int(plan.settings.server.history_s * rate_hz))
-        self._joiner = Joiner(self._frames, tissues)
-        self._teller = self._new_teller()
-        self._samples = bus.SequenceCounter()
-        self._estimates = bus.SequenceCounter()
-        self._rate: deque[tuple[float, int]] = deque(maxlen=400)
-        self._promptest_s = float("inf")
-        self._latency_ms: float | None = None
+        self._frame_buffer = FrameBuffer(int(plan.settings.server.history_s * rate_hz))
+        self._aligner = SampleAligner(self._frame_buffer, tissues)
+        self._translator = self._make_translator()
+        self._sample_sequence = bus.SequenceTracker()
+        self._estimate_sequence = bus.SequenceTracker()
+        self._recent_sample_counts: deque[tuple[float, int]] = deque(maxlen=400)
+        self._min_delay_s = float("inf")
+        self._estimate_latency_ms: float | None = None
         self.lost_samples = 0
-        self._lost_s = self._late_s = 0.0
-        self._free_bytes = free_bytes(plan.data)
+        self._last_loss_s = self._last_late_s = 0.0
+        self._free_bytes = free_bytes(plan.data_folder)
         self._last_tick = -1
         self._limit_n: float | None = None
         self._fault_texts: dict[str, str] = {}
-        self.followers: list[Callable[[SampleBlock], None]] = []  # get every block
+        self.block_listeners: list[Callable[[SampleBlock], None]] = []  # get every block
         self.realtime: dict[str, str] = {}  # what the system granted each worker
-        self._died_ns = 0  # the last acquisition worker
-        self._ending = False
-        self._stops = 0
+        self._acquisition_died_ns = 0  # the last acquisition worker
+        self._shutting_down = False
+        self._stop_count = 0
         self.estimator_ready = asyncio.Event()  # from then on the tool is opened
 
     # --- life --------------------------------------------------------------------------------------------------------
 
     async def start(self) -> None:
         """Start the workers; the tool is opened when the filters, which may have to be compiled, are ready."""
-        self.index.start()
-        self._end_runs_cut_short()
-        if self.plan.opened:
+        self.index_writer.start()
+        self._fail_interrupted_runs()
+        if self.plan.opened_recordings:
             return
         endpoints = self.supervisor.endpoints
         for work in (
             self._listen(endpoints.estimates, self._on_estimator),
             self._listen(endpoints.samples, self._on_acquisition),
             self._listen(endpoints.recorder, self._on_recorder),
-            self._listen(endpoints.guard, self._on_guard),
+            self._listen(endpoints.safety_monitor, self._on_safety_monitor),
             self._listen(endpoints.foxglove, self._on_foxglove),
-            self._tick(),
-            self._show_life(endpoints.server),
+            self._run_frame_loop(),
+            self._send_heartbeats(endpoints.server_heartbeat),
         ):
             task = asyncio.create_task(work)
-            self.watch_over(task)
+            self.supervise_task(task)
             self._tasks.append(task)
         self.supervisor.start_recorder()
-        self.supervisor.start_guard()
+        self.supervisor.start_safety_monitor()
         self.supervisor.start_estimator()
         self.supervisor.start_acquisition()
         self.supervisor.start_foxglove()
-        self._priority = serving_priority(self.plan.settings.realtime.priority)
-        self.realtime["server"] = str(self._priority)
+        self._realtime_priority = take_server_priority(self.plan.settings.realtime.priority)
+        self.realtime["server"] = str(self._realtime_priority)
 
-    def _end_runs_cut_short(self) -> None:
+    def _fail_interrupted_runs(self) -> None:
         """Those of a service that was killed; unless another one lives, whose they may be."""
-        for run in self.index.store.cut_short() if self.index.store.first else []:
+        for run in self.index_writer.store.find_unfinished_runs() if self.index_writer.store.is_first_user else []:
             why = "the service was ended from outside during the run"
             run = run.model_copy(update={"state": RunState.FAILED, "why": why})
             self.journal.write(JournalKind.RUN, f"Run {run.id} failed: {why}", run=run)
 
-    def watch_over(self, task: asyncio.Task[None]) -> None:
+    def supervise_task(self, task: asyncio.Task[None]) -> None:
         """A part of the server must not end unnoticed."""
         task.add_done_callback(self._on_task_end)
 
@@ -162,11 +166,11 @@ class Station:
         self.internal_error = f"The server failed inside ({task.exception()!r}). Start the service again."
         logging.getLogger("graspwatch").error("the server failed inside", exc_info=task.exception())
         self.alarms.raise_technical("server", Priority.HIGH, self.internal_error)
-        self._stopping = asyncio.create_task(self._commander.send(bus.Stop("the server failed")))
+        self._stop_task = asyncio.create_task(self._commander.send(bus.StopCommand("the server failed")))
 
     async def halt(self) -> None:
         """Motor to zero before anything else, and nobody starts anything any more."""
-        self._ending = True
+        self._shutting_down = True
         if self.runs.current:
             with contextlib.suppress(ServiceError):  # a worker that does not answer is ended with the others
                 await self.stop_run("the service was ended")
@@ -180,15 +184,20 @@ class Station:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)
             await self.supervisor.stop()
-            await self.recorder.aclose()
+            await self.recorder_link.aclose()
             await self._commander.aclose()
             self._context.destroy(linger=0)
-            self._sources.destroy(linger=0)
+            self._subscriber_context.destroy(linger=0)
 
     # --- commands ----------------------------------------------------------------------------------------------------
 
     async def start_run(
-        self, protocol: Protocol, cycles: int, tissue: str | None, by: str | None, unmeasured: str = ""
+        self,
+        protocol: GraspProtocol,
+        cycles: int,
+        tissue: str | None,
+        by: str | None,
+        unmeasured_scale_reason: str = "",
     ) -> Run:
         """Start a protocol; a tool that is not armed is armed first, unless the settings forbid it.
 
@@ -198,54 +207,57 @@ class Station:
             RefusedError: a fault is latched, the tool cannot be armed, another run began, or the acquisition refuses.
             ServiceError: the acquisition does not answer.
         """
-        self.arming.check_fault()
-        stops = self._stops
+        self.arming.check_no_fault()
+        stops = self._stop_count
         if self.arming.safety is not Safety.ARMED and self.plan.settings.safety.arm_with_start:
-            await self.arming.arm(by, unmeasured)
-        if self.arming.unmeasured == CALIBRATING and unmeasured != CALIBRATING:
+            await self.arming.arm(by, unmeasured_scale_reason)
+        if (
+            self.arming.unmeasured_scale_reason == CALIBRATION_ARM_REASON
+            and unmeasured_scale_reason != CALIBRATION_ARM_REASON
+        ):
             raise RefusedError("The tool is armed for a calibration alone. Disarm it first.")
-        self._check_free()
-        prefix = DEMONSTRATION if self.demo else ""
+        self._check_can_start()
+        prefix = DEMO_ID_PREFIX if self.demo_text else ""
         run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
-        self.about.run = run.id
-        self.recorder.brief(Brief(run.id, protocol.model_dump_json(), cycles, tissue, by))
+        self.log_context.run = run.id
+        self.recorder_link.announce_run(RunMetadata(run.id, protocol.model_dump_json(), cycles, tissue, by))
         try:
-            await self._commander.send(bus.Start(run.id, protocol.model_dump_json(), cycles, tissue))
+            await self._commander.send(bus.StartCommand(run.id, protocol.model_dump_json(), cycles, tissue))
         except GraspwatchError as error:
-            self.runs.forget(run.id)
-            self.about.run = None
+            self.runs.discard(run.id)
+            self.log_context.run = None
             if isinstance(error, ServiceError):  # it may yet obey
                 with contextlib.suppress(ServiceError):
-                    await self._commander.send(bus.Stop("nobody waits for this run any more"))
+                    await self._commander.send(bus.StopCommand("nobody waits for this run any more"))
             raise
-        self._keep(run)
+        self._record(run)
         self.simulated_tissue = tissue or self.simulated_tissue
-        held = f", {holdable(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
-        self.tell_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by, run)
-        if self._stops != stops:  # the worker may have heard of that before it heard of the start
+        held = f", {build_graspable_library(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
+        self.publish_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by, run)
+        if self._stop_count != stops:  # the worker may have heard of that before it heard of the start
             await self.stop_run("it was stopped while it began")
-        self.tell_state()
+        self.publish_state()
         return self.runs.get(run.id) or run
 
-    async def put(self, what: bus.Put) -> None:
+    async def set_simulated_load(self, load: bus.SimulatedLoadCommand) -> None:
         """What a simulated tool's handle and jaws get.
 
         Raises:
             ServiceError: the acquisition does not answer.
         """
-        await self._commander.send(what)
+        await self._commander.send(load)
 
-    def _check_free(self) -> None:
+    def _check_can_start(self) -> None:
         """
         Raises:
             RefusedError: the service ends, or somebody else was faster.
         """
-        if self._ending:
+        if self._shutting_down:
             raise RefusedError("The service is being ended: start nothing any more.")
         if self.runs.current:
             raise RefusedError(f"Run {self.runs.current.id} is under way. Stop it first.")
 
-    async def stop_run(self, why: str, who: Callable[[], Awaitable[str | None]] | None = None) -> bool:
+    async def stop_run(self, why: str, find_requester: Callable[[], Awaitable[str | None]] | None = None) -> bool:
         """Motor to zero at once; returns whether a run was stopped. Never refuses. `who` asked for it is found out
         afterwards.
 
@@ -254,33 +266,37 @@ class Station:
         """
         if not self.estimator_ready.is_set():
             return False  # there is no motor, or nothing that could move it yet
-        self._stops += 1
-        effect = await self._commander.send(bus.Stop(why))
+        self._stop_count += 1
+        effect = await self._commander.send(bus.StopCommand(why))
         current = self.runs.current
         if effect and current:
             self._end_run(current.id, RunState.STOPPED, why)
-        self.tell_event(f"Stopped: the motor is at zero ({why})", JournalKind.RUN, await who() if who else None)
+        self.publish_event(
+            f"Stopped: the motor is at zero ({why})",
+            JournalKind.RUN,
+            await find_requester() if find_requester else None,
+        )
         return effect
 
     # --- what the workers say ----------------------------------------------------------------------------------------
 
-    async def _listen(self, address: str, take: Callable[[list[bytes]], None]) -> None:
+    async def _listen(self, address: str, on_message: Callable[[list[bytes]], None]) -> None:
         """Hand what is published at the address to `take`.
 
         The loop watches the socket itself: a future for each message took as long as what is done with it.
         """
         loop, readable = asyncio.get_running_loop(), asyncio.Event()
-        socket = bus.subscriber(self._sources, address)
+        socket = bus.open_subscriber(self._subscriber_context, address)
         loop.add_reader(socket.FD, readable.set)
         readable.set()  # what came before the line above is not told
         try:
             while True:
                 await readable.wait()
                 readable.clear()
-                for _ in range(MOST_AT_A_TIME):
+                for _ in range(MAX_MESSAGES_PER_TURN):
                     if not socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
                         break
-                    take(socket.recv_multipart(zmq.NOBLOCK))
+                    on_message(socket.recv_multipart(zmq.NOBLOCK))
                 else:
                     readable.set()
                     await asyncio.sleep(0)
@@ -289,222 +305,226 @@ class Station:
             socket.close()
 
     def _on_acquisition(self, parts: list[bytes]) -> None:
-        if parts[0] == bus.NOTICE:
+        if parts[0] == bus.NOTICE_TOPIC:
             self._on_notice(bus.unpack_notice(parts))
             return
         block = bus.unpack_samples(parts)
-        is_alive = block.t_mono_ns > self._died_ns
-        if is_alive and self.supervisor.runs("acquisition"):
+        is_alive = block.t_mono_ns > self._acquisition_died_ns
+        if is_alive and self.supervisor.mark_running("acquisition"):
             self.alarms.end("motor")  # who opens the board writes zero first
-            self.tell_state()
-        if self._samples.is_out_of_turn(block):
+            self.publish_state()
+        if self._sample_sequence.is_out_of_order(block):
             return
-        if self._samples.begins_anew(block.sequence):
-            self._joiner.begin_anew()
-            self._forget_grasp()
-            self.runs.ticks_begin_anew()
-        if is_alive and self.arming.follow(block):
-            self.tell_state()
-        missing = self._samples.take(block.sequence, block.t_mono_ns)
+        if self._sample_sequence.is_restart(block.sequence):
+            self._aligner.reset()
+            self._reset_grasp()
+            self.runs.reset_ticks()
+        if is_alive and self.arming.update_from_block(block):
+            self.publish_state()
+        missing = self._sample_sequence.update(block.sequence, block.t_mono_ns)
         self._last_tick = int(block.samples["tick"][-1])
-        self._limit_n = finite(float(block.samples["limit_n"][-1]))
-        self.watchdog.heard("acquisition")
-        self._rate.append((time.monotonic(), len(block.samples)))
-        self._measure_lateness(block)
-        self._tell_lag(block)
+        self._limit_n = finite_or_none(float(block.samples["limit_n"][-1]))
+        self.watchdog.feed("acquisition")
+        self._recent_sample_counts.append((time.monotonic(), len(block.samples)))
+        self._observe_lateness(block)
+        self._check_lateness(block)
         self.metrics.samples.inc(len(block.samples))
-        self._count_lost(block.lost_samples + missing * len(block.samples))
-        for follow in self.followers:
+        self._count_lost_samples(block.lost_samples + missing * len(block.samples))
+        for follow in self.block_listeners:
             follow(block)
-        self.metrics.missing_blocks.labels("server").set(self._samples.missing + self._estimates.missing)
-        self._joiner.take_samples(block)
+        self.metrics.missing_blocks.labels("server").set(
+            self._sample_sequence.missing + self._estimate_sequence.missing
+        )
+        self._aligner.add_samples(block)
 
-    def _measure_lateness(self, block: SampleBlock) -> None:
+    def _observe_lateness(self, block: SampleBlock) -> None:
         """Against the promptest block so far: the sample clock says when each could be read."""
         clock_s = (int(block.samples["tick"][-1]) + 1) / self.plan.tool.board.sample_rate_hz
         behind_s = block.t_mono_ns / 1e9 - clock_s
         if block.sequence == 1:
-            self._promptest_s = behind_s
-        self._promptest_s = min(self._promptest_s + CLOCK_DRIFT_S, behind_s)
-        self.metrics.acquisition_lateness.observe(behind_s - self._promptest_s)
+            self._min_delay_s = behind_s
+        self._min_delay_s = min(self._min_delay_s + CLOCK_DRIFT_PER_BLOCK_S, behind_s)
+        self.metrics.acquisition_lateness.observe(behind_s - self._min_delay_s)
 
-    def _tell_lag(self, block: SampleBlock) -> None:
+    def _check_lateness(self, block: SampleBlock) -> None:
         """Count samples that are read late; in a run, where the limiter then acts as late, raise an alarm."""
-        if block.backlog <= LATE_S * self.plan.tool.board.sample_rate_hz:
+        if block.backlog <= LATE_SAMPLES_S * self.plan.tool.board.sample_rate_hz:
             return
         self.metrics.late_blocks.inc()
         if not block.run:
             return
-        self._late_s = time.monotonic()
-        text = f"Samples are read more than {LATE_S:g} s late, and the limiter acts as late: end other programs"
+        self._last_late_s = time.monotonic()
+        text = f"Samples are read more than {LATE_SAMPLES_S:g} s late, and the limiter acts as late: end other programs"
         self.alarms.raise_technical("late", Priority.MEDIUM, text)
 
-    def _new_teller(self) -> Teller:
+    def _make_translator(self) -> EventTranslator:
         rate_hz = self.plan.tool.board.sample_rate_hz
-        return Teller(self.plan.library, rate_hz, self.alarms, self._tell, self._keep_grasp)
+        return EventTranslator(self.plan.library, rate_hz, self.alarms, self._publish, self._on_grasp_ended)
 
-    def _tell(self, message: BaseModel) -> None:
+    def _publish(self, message: BaseModel) -> None:
         """To the viewers, and to those who keep it."""
         if isinstance(message, Identification):
-            self.about.grasp = message.grasp if message.in_grasp else None
-        self.hub.broadcast(message)
-        self._keep(message)
+            self.log_context.grasp = message.grasp if message.in_grasp else None
+        self.viewer_hub.broadcast(message)
+        self._record(message)
 
-    def _keep(self, message: BaseModel) -> None:
-        self.recorder.tell(message)
-        if isinstance(message, Indexed):
-            self.index.take(message)
+    def _record(self, message: BaseModel) -> None:
+        self.recorder_link.send_message(message)
+        if isinstance(message, IndexedMessage):
+            self.index_writer.enqueue(message)
 
-    def _forget_grasp(self) -> None:
+    def _reset_grasp(self) -> None:
         """A worker begins anew: nobody will tell the end of what was under way."""
-        self.about.grasp = None
-        self.alarms.end_force()
-        self._teller = self._new_teller()
+        self.log_context.grasp = None
+        self.alarms.end_force_alarm()
+        self._translator = self._make_translator()
 
-    def _on_journal(self, fault: str | None) -> None:
+    def _on_journal_fault(self, fault: str | None) -> None:
         if fault:
             self.alarms.raise_technical("journal", Priority.LOW, fault)
         else:
             self.alarms.end("journal")
 
-    def _on_index(self, fault: str | None) -> None:
+    def _on_index_fault(self, fault: str | None) -> None:
         if fault:
             self.alarms.raise_technical("index", Priority.LOW, fault)
         else:
             self.alarms.end("index")
 
-    def _watch_disk(self) -> None:
+    def _check_disk(self) -> None:
         """Once a second: room for what is kept, and samples that were lost or late a while ago."""
-        self._free_bytes = free_bytes(self.plan.data)
+        self._free_bytes = free_bytes(self.plan.data_folder)
         if self._free_bytes is None:
-            self.alarms.raise_technical("disk", Priority.MEDIUM, f"The data folder {self.plan.data} is gone: mend it")
-        elif self._free_bytes < LITTLE_DISK_BYTES:
-            full = f"The disk of {self.plan.data} is full: make room, or empty the bin of the recordings"
+            self.alarms.raise_technical(
+                "disk", Priority.MEDIUM, f"The data folder {self.plan.data_folder} is gone: mend it"
+            )
+        elif self._free_bytes < LOW_DISK_BYTES:
+            full = f"The disk of {self.plan.data_folder} is full: make room, or empty the bin of the recordings"
             self.alarms.raise_technical("disk", Priority.MEDIUM, full)
         else:
             self.alarms.end("disk")
-        if time.monotonic() - self._lost_s > LOSS_SHOWN_S:
+        if time.monotonic() - self._last_loss_s > LOSS_ALARM_DURATION_S:
             self.alarms.end("lost")
-        if time.monotonic() - self._late_s > LOSS_SHOWN_S:
+        if time.monotonic() - self._last_late_s > LOSS_ALARM_DURATION_S:
             self.alarms.end("late")
 
-    def _watch_calibration(self) -> None:
-        if self.plan.opened:
+    def _check_calibration(self) -> None:
+        if self.plan.opened_recordings:
             return
         tool = self.plan.tool
-        if expired := tool.expired(date.today()):
+        if expired := tool.find_expired_constants(date.today()):
             names = ", ".join(f"{each.constant} ({each.expires})" for each in expired)
             text = f"The tool's calibration is expired: {names}. Measure anew before you trust forces"
             self.alarms.raise_technical("calibration", Priority.LOW, text)
         if not tool.has_known_scale:
-            text = f"The tool's force scale is not measured ({tool.scale_in_words}): newtons may be wrong by that much"
+            text = f"The tool's force scale is not measured ({tool.scale_text}): newtons may be wrong by that much"
             self.alarms.raise_technical("scale", Priority.LOW, text)
 
-    def _count_lost(self, samples: int) -> None:
+    def _count_lost_samples(self, samples: int) -> None:
         if samples:
             self.lost_samples += samples
-            self._lost_s = time.monotonic()
+            self._last_loss_s = time.monotonic()
             self.metrics.lost_samples.inc(samples)
             self.alarms.raise_technical("lost", Priority.LOW, "Samples are being lost: the status strip counts them")
 
     def _on_estimator(self, parts: list[bytes]) -> None:
-        if parts[0] == bus.NOTICE:
+        if parts[0] == bus.NOTICE_TOPIC:
             self._on_notice(bus.unpack_notice(parts))
             return
         received = unpack_estimates(parts, len(self.plan.library.tissues))
         block = received.block
-        self.watchdog.heard("estimator")
-        self._estimates.take(block.sequence)
-        self._latency_ms = (received.published_ns - block.t_mono_ns) / 1e6
-        self.metrics.estimate_latency.observe(self._latency_ms / 1e3)
+        self.watchdog.feed("estimator")
+        self._estimate_sequence.update(block.sequence)
+        self._estimate_latency_ms = (received.published_ns - block.t_mono_ns) / 1e6
+        self.metrics.estimate_latency.observe(self._estimate_latency_ms / 1e3)
         self.metrics.missing_blocks.labels("estimator").set(received.missing_blocks)
-        self._joiner.take_estimates(block)
-        self._teller.take(block, now_ms(), wall_ms(block.t_mono_ns))
+        self._aligner.add_estimates(block)
+        self._translator.process(block, now_ms(), monotonic_to_wall_ms(block.t_mono_ns))
 
     def _on_notice(self, notice: dict[str, Any]) -> None:
         match notice["kind"]:
             case "compiling":
-                self.tell_event("Preparing the filters (compiled on the first start, which takes up to a minute)")
+                self.publish_event("Preparing the filters (compiled on the first start, which takes up to a minute)")
             case "estimating":
                 self._fault_texts.pop("estimator", None)
                 self.realtime["estimator"] = notice["realtime"]
-                if self.supervisor.runs("estimator"):
-                    self.watchdog.begins_to_estimate()
+                if self.supervisor.mark_running("estimator"):
+                    self.watchdog.on_estimator_started()
                 self.estimator_ready.set()
                 self.supervisor.open_tool()
             case "acquiring":
                 self._fault_texts.pop("acquisition", None)
                 self.realtime["acquisition"] = notice["realtime"]
-                self.tell_event(f"The tool is acquiring; {notice['realtime']}")
+                self.publish_event(f"The tool is acquiring; {notice['realtime']}")
             case "fault":
                 self._fault_texts[notice["worker"]] = notice["text"]
                 self.alarms.raise_technical(notice["worker"], Priority.HIGH, notice["text"])
             case "stalled":
-                self.tell_event(notice["text"])
+                self.publish_event(notice["text"])
             case "let_go":
-                self.alarms.happened("let-go", AlarmKind.FORCE, notice["text"])
+                self.alarms.raise_latched("let-go", AlarmKind.FORCE, notice["text"])
             case "run_ended":
                 self._end_run(notice["run_id"], RunState(notice["end"]), notice["why"])
-        self.tell_state()
+        self.publish_state()
 
     def _on_recorder(self, parts: list[bytes]) -> None:
-        self.watchdog.heard("recorder")
-        self.supervisor.runs("recorder")
-        before = self.recorder.state.file
+        self.watchdog.feed("recorder")
+        self.supervisor.mark_running("recorder")
+        before = self.recorder_link.state.file
         notice = bus.unpack_notice(parts)
         if "realtime" in notice:
             self.realtime["recorder"] = notice["realtime"]
-        self.recorder.heard(notice)
-        if self.recorder.state.file != before:
-            self.tell_state()
+        self.recorder_link.on_notice(notice)
+        if self.recorder_link.state.file != before:
+            self.publish_state()
 
-    def _on_guard(self, parts: list[bytes]) -> None:
-        self.watchdog.heard("guard")
-        self.supervisor.runs("guard")
+    def _on_safety_monitor(self, parts: list[bytes]) -> None:
+        self.watchdog.feed("guard")
+        self.supervisor.mark_running("guard")
         notice = bus.unpack_notice(parts)
         match notice["kind"]:
             case "guarding":
                 self.realtime["guard"] = notice["realtime"]
             case "zeroed":
-                self._on_motor(None)
+                self._on_motor_fault(None)
                 self.alarms.raise_technical("samples", Priority.HIGH, notice["text"])
             case "not_zeroed":
-                self._on_motor(notice["text"])
+                self._on_motor_fault(notice["text"])
 
     def _on_foxglove(self, parts: list[bytes]) -> None:
-        if self.supervisor.runs("foxglove"):
+        if self.supervisor.mark_running("foxglove"):
             self.alarms.end("foxglove")
-            self.tell_state()
+            self.publish_state()
 
-    def _on_motor(self, fault: str | None) -> None:
+    def _on_motor_fault(self, fault: str | None) -> None:
         """Whether the motor that nobody drives any more could be brought to zero."""
         if fault:
             self.alarms.raise_technical("motor", Priority.HIGH, fault)
         else:
             self.alarms.end("motor")
 
-    def _keep_grasp(self, grasp: Grasp) -> None:
+    def _on_grasp_ended(self, grasp: Grasp) -> None:
         self.metrics.grasps.labels(grasp.label).inc()
-        run_id, grasp = self.runs.keep(grasp, round(grasp.start_s * self.plan.tool.board.sample_rate_hz))
-        self._tell(GraspEnded(run_id=run_id, grasp=grasp))
+        run_id, grasp = self.runs.add_grasp(grasp, round(grasp.start_s * self.plan.tool.board.sample_rate_hz))
+        self._publish(GraspEnded(run_id=run_id, grasp=grasp))
 
     def _end_run(self, run_id: str, state: RunState, why: str) -> None:
         if not self.runs.end(run_id, state, why):
             return
         ended = self.runs.get(run_id)
         if ended:
-            self._keep(ended)
-        self.tell_event(f"Run {state.value}: {why}", JournalKind.RUN, run=ended)
-        self.about.run = None
+            self._record(ended)
+        self.publish_event(f"Run {state.value}: {why}", JournalKind.RUN, run=ended)
+        self.log_context.run = None
         if state is not RunState.FINISHED:
-            self.demo = None
-        self.tell_state()
+            self.demo_text = None
+        self.publish_state()
 
-    def _on_death(self, worker: str, text: str) -> None:
+    def _on_worker_death(self, worker: str, text: str) -> None:
         self.metrics.worker_deaths.labels(worker).inc()
         if worker == "recorder":
-            self.recorder.died(text)
-            self.tell_state()
+            self.recorder_link.on_worker_death(text)
+            self.publish_state()
             return
         if worker == "foxglove":
             self.alarms.raise_technical(worker, Priority.LOW, text)
@@ -512,33 +532,33 @@ class Station:
         if worker == "guard":
             self.alarms.raise_technical(worker, Priority.HIGH, f"{text} A hung acquisition would be noticed late")
             return
-        self._forget_grasp()
+        self._reset_grasp()
         text = " ".join(filter(None, (self._fault_texts.pop(worker, None), text)))
         self.alarms.raise_technical(worker, Priority.HIGH, text)
-        self.tell_event(text)
+        self.publish_event(text)
         current = self.runs.current
         if worker == "acquisition":
-            self._died_ns = time.monotonic_ns()
-            self.arming.died("the acquisition worker died")
+            self._acquisition_died_ns = time.monotonic_ns()
+            self.arming.on_worker_death("the acquisition worker died")
             if current:
                 self._end_run(current.id, RunState.FAILED, "the acquisition worker died")
-        self.tell_state()
+        self.publish_state()
 
-    async def _show_life(self, address: str) -> None:
+    async def _send_heartbeats(self, address: str) -> None:
         """Tell the acquisition that the event loop, which carries STOP, goes round. Belongs into no other thread."""
-        signs = bus.publisher(self._context, address)
+        signs = bus.open_publisher(self._context, address)
         try:
             while True:
                 asked_s = time.monotonic()
                 await signs.send(b"")
-                await asyncio.sleep(SIGN_OF_LIFE_S)
-                self.metrics.server_delay.observe(max(time.monotonic() - asked_s - SIGN_OF_LIFE_S, 0.0))
+                await asyncio.sleep(HEARTBEAT_PERIOD_S)
+                self.metrics.server_delay.observe(max(time.monotonic() - asked_s - HEARTBEAT_PERIOD_S, 0.0))
         finally:
             signs.close()
 
     # --- what the viewers get ----------------------------------------------------------------------------------------
 
-    async def _tick(self) -> None:
+    async def _run_frame_loop(self) -> None:
         """Cut frames at a steady rate; once a second tell the state; watch for silence."""
         period_s = 1.0 / self.plan.settings.server.frame_rate_hz
         due, told_s = time.monotonic(), 0.0
@@ -547,52 +567,54 @@ class Station:
             await asyncio.sleep(max(due - time.monotonic(), 0.0))
             asked = due
             due = max(due, time.monotonic() - period_s)
-            self._joiner.join()
-            for frame in self._frames.cut():
-                self.hub.broadcast_frame(frame)
-            self.watchdog.watch(max(time.monotonic() - asked, 0.0))
+            self._aligner.align()
+            for frame in self._frame_buffer.cut_frames():
+                self.viewer_hub.broadcast_frame(frame)
+            self.watchdog.check(max(time.monotonic() - asked, 0.0))
             if time.monotonic() - told_s >= 1.0:
                 told_s = time.monotonic()
-                self._priority.renew()
-                self._watch_disk()
-                self._watch_calibration()
-                self.control.renew(self.runs.current.by if self.runs.current else None)
-                self.tell_state()
+                self._realtime_priority.renew()
+                self._check_disk()
+                self._check_calibration()
+                self.control_lease.renew(self.runs.current.by if self.runs.current else None)
+                self.publish_state()
 
-    def measured(self) -> bytes:
+    def render_metrics(self) -> bytes:
         """As Prometheus reads it."""
         self.metrics.phase.state(self.phase.value)
-        self.metrics.tell_alarms(self.alarms.all())
+        self.metrics.set_alarm_counts(self.alarms.current_alarms())
         self.metrics.free_disk.set(float("nan") if self._free_bytes is None else self._free_bytes)
-        self.metrics.recording.set(self.recorder.state.file is not None)
-        self.metrics.viewers.set(len(self.hub.viewers))
-        self.metrics.index_left_out.set(self.index.left_out)
-        return self.metrics.text()
+        self.metrics.recording.set(self.recorder_link.state.file is not None)
+        self.metrics.viewers.set(len(self.viewer_hub.viewers))
+        self.metrics.index_dropped_messages.set(self.index_writer.dropped_messages)
+        return self.metrics.render()
 
-    def conditions(self) -> dict[str, str]:
+    def worker_conditions(self) -> dict[str, str]:
         """How each worker is; a service without a tool has none."""
-        if self.plan.opened:
+        if self.plan.opened_recordings:
             return {}
         return {name: worker.condition.value for name, worker in self.supervisor.workers.items()}
 
     @property
     def phase(self) -> Phase:
-        if self.plan.opened:
+        if self.plan.opened_recordings:
             return Phase.REPLAY
         needed = {"acquisition", "estimator"} if self.runs.current else {"acquisition", "estimator", "guard"}
         conditions = {each.condition for name, each in self.supervisor.workers.items() if name in needed}
-        if self.internal_error or Condition.FAULTED in conditions:
+        if self.internal_error or WorkerCondition.FAULTED in conditions:
             return Phase.FAULTED
-        if conditions != {Condition.RUNNING} or not self.watchdog.sampling:
+        if conditions != {WorkerCondition.RUNNING} or not self.watchdog.is_sampling:
             return Phase.STARTING
         return Phase.RUNNING if self.runs.current else Phase.IDLE
 
-    def _rate_hz(self) -> float:
-        if len(self._rate) < 2 or time.monotonic() - self._rate[-1][0] > 1.0:
+    def _measure_rate_hz(self) -> float:
+        if len(self._recent_sample_counts) < 2 or time.monotonic() - self._recent_sample_counts[-1][0] > 1.0:
             return 0.0
-        return sum(n for _, n in list(self._rate)[1:]) / (self._rate[-1][0] - self._rate[0][0])
+        return sum(n for _, n in list(self._recent_sample_counts)[1:]) / (
+            self._recent_sample_counts[-1][0] - self._recent_sample_counts[0][0]
+        )
 
-    def state(self) -> State:
+    def build_state(self) -> State:
         return State(
             server_time_ms=now_ms(),
             phase=self.phase,
@@ -602,50 +624,56 @@ class Station:
             last_run=self.runs.last,
             limit_n=self._limit_n,
             simulated_tissue=self.simulated_tissue,
-            demo=self.demo,
-            control=self._control(),
-            rate_hz=self._rate_hz(),
+            demo=self.demo_text,
+            control=self._control_holder(),
+            rate_hz=self._measure_rate_hz(),
             lost_samples=self.lost_samples,
-            estimator_latency_ms=self._latency_ms,
-            viewers=len(self.hub.viewers),
-            recording=self.recorder.state,
+            estimator_latency_ms=self._estimate_latency_ms,
+            viewers=len(self.viewer_hub.viewers),
+            recording=self.recorder_link.state,
             free_disk_bytes=self._free_bytes,
-            faults=self.alarms.technical_texts(),
+            faults=self.alarms.technical_alarm_texts(),
         )
 
-    def tell_state(self) -> None:
-        self.hub.broadcast(self.state())
+    def publish_state(self) -> None:
+        self.viewer_hub.broadcast(self.build_state())
 
-    def give_back_control(self, name: str) -> bool:
+    def release_control(self, name: str) -> bool:
         """False: he did not have it."""
-        if not self.control.release(name):
+        if not self.control_lease.release(name):
             return False
-        self.tell_event("Control given back", JournalKind.ACCESS, name)
-        self.tell_state()
+        self.publish_event("Control given back", JournalKind.ACCESS, name)
+        self.publish_state()
         return True
 
-    def _control(self) -> str | None:
-        if self.control.holder:
-            return self.control.holder
+    def _control_holder(self) -> str | None:
+        if self.control_lease.holder:
+            return self.control_lease.holder
         run = self.runs.current
         if run is None:
             return None
-        return "the demonstration" if self.demo else run.by or "somebody without a name"
+        return "the demonstration" if self.demo_text else run.by or "somebody without a name"
 
-    def tell_event(
+    def publish_event(
         self, text: str, kind: JournalKind = JournalKind.EVENT, by: str | None = None, run: Run | None = None
     ) -> None:
         """To the viewers and the journal."""
         self.journal.write(kind, text, by=by, run=run)
-        self.hub.broadcast(EventMessage(server_time_ms=now_ms(), text=f"{text}, by {by}" if by else text))
+        self.viewer_hub.broadcast(EventMessage(server_time_ms=now_ms(), text=f"{text}, by {by}" if by else text))
 
-    def greeting(self) -> tuple[list[Any], list[bytes]]:
+    def initial_messages(self) -> tuple[list[Any], list[bytes]]:
         """What a new viewer gets first: messages, and the last seconds of samples."""
         plan = self.plan
-        messages: list[Any] = [hello(plan, plan.tool, recording=bool(plan.opened)), self.state(), *self.alarms.all()]
+        messages: list[Any] = [
+            build_hello(plan, plan.tool, recording=bool(plan.opened_recordings)),
+            self.build_state(),
+            *self.alarms.current_alarms(),
+        ]
         run = self.runs.last
         if run:
-            messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.runs.grasps(run.id)[-GRASPS_TOLD:]]
-        if self._teller.identification:
-            messages.append(self._teller.identification)
-        return messages, self._frames.history()
+            messages += [
+                GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.runs.list_grasps(run.id)[-MAX_INITIAL_GRASPS:]
+            ]
+        if self._translator.identification:
+            messages.append(self._translator.identification)
+        return messages, self._frame_buffer.history_frames()

@@ -18,28 +18,30 @@ from typing import Annotated, Any
 import typer
 
 from app import __version__
-from app.audit.check import check
+from app.audit.check import check_journal
 from app.disk import free_bytes
-from app.logs import FILE
-from app.logs import FOLDER as LOGS
-from app.options import ConfigOption, DataOption, ToolOption, data_folder, errors
+from app.logs import LOG_FILE
+from app.logs import LOG_FOLDER as LOGS
+from app.options import ConfigOption, DataOption, ToolOption, error_console, prepare_data_folder
 from app.people import tokens
 from config.errors import ConfigurationError, GraspwatchError
 from config.load import load_library, load_settings, load_tool
 from config.network import is_this_computer
 from config.schema import Settings
 
-HIDDEN = "(hidden)"
-TOKEN = re.compile(rf"{tokens.PREFIX}[\w-]{{16,}}")  # none should be in any of it; this is the second lock
-ANSWER_S = 5.0
-QUESTIONS = {
+REDACTED = "(hidden)"
+TOKEN_PATTERN = re.compile(
+    rf"{tokens.TOKEN_PREFIX}[\w-]{{16,}}"
+)  # none should be in any of it; this is the second lock
+ANSWER_TIMEOUT_S = 5.0
+SERVICE_ENDPOINTS = {
     "health.json": "/api/health",
     "system.json": "/api/system",
     "alarms.json": "/api/alarms",
     "metrics.txt": "/metrics",
 }
-OUR_VARIABLES = ("GRASPWATCH_", "NUMBA_", "PYTHON", "OMP_", "OPENBLAS_")
-READ_ME = (
+ENVIRONMENT_PREFIXES = ("GRASPWATCH_", "NUMBA_", "PYTHON", "OMP_", "OPENBLAS_")
+README_TEXT = (
     "What Graspwatch is and how it stands, for somebody who helps: versions, machine, settings, tool, library, the "
     "last logs, whether journal and index are sound, and what the running service says of itself.\n\n"
     "It holds no token, no password, no sample and no recording. It does hold the names of those who used the tool and "
@@ -67,32 +69,32 @@ def support(
     Example: graspwatch support --out help.zip
     """
     settings = load_settings(config)
-    folder = data_folder(data, settings)
+    folder = prepare_data_folder(data, settings)
     path = out or Path(f"graspwatch-support-{datetime.now(UTC):%Y%m%d-%H%M%S}.zip")
     address = url or f"http://localhost:{settings.server.port}"
-    parts = {"README.txt": READ_ME} | _local(settings, tool, folder) | _service(address, token)
-    for file in sorted((folder / LOGS).glob(f"{FILE}*")):
+    parts = {"README.txt": README_TEXT} | _collect_local(settings, tool, folder) | _collect_service(address, token)
+    for file in sorted((folder / LOGS).glob(f"{LOG_FILE}*")):
         parts[f"{LOGS}/{file.name}"] = file.read_text(encoding="utf-8", errors="replace")
     try:
         with zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED) as bundle:
             for name, content in parts.items():
-                bundle.writestr(name, TOKEN.sub(HIDDEN, content))
+                bundle.writestr(name, TOKEN_PATTERN.sub(REDACTED, content))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written ({error.strerror}). Name another with --out.") from None
-    errors.print(READ_ME, markup=False, soft_wrap=True)
+    error_console.print(README_TEXT, markup=False, soft_wrap=True)
     print(path)
 
 
-def _local(settings: Settings, tool: str | None, data: Path) -> dict[str, str]:
+def _collect_local(settings: Settings, tool: str | None, data: Path) -> dict[str, str]:
     """What can be said without the service. Whatever cannot be found out says why instead."""
     wanted: dict[str, Callable[[], Any]] = {
-        "about.json": _about,
+        "about.json": _describe_system,
         "settings.json": lambda: settings.model_dump(mode="json"),
         "tool.json": lambda: load_tool(tool or settings.tool).model_dump(mode="json"),
         "library.json": lambda: load_library(settings.library).model_dump(mode="json"),
-        "data.json": lambda: _data(data),
-        "journal.json": lambda: check(data, ()).model_dump(mode="json"),
-        "index.json": lambda: _index(settings, data),
+        "data.json": lambda: _describe_data(data),
+        "journal.json": lambda: check_journal(data, ()).model_dump(mode="json"),
+        "index.json": lambda: _describe_index(settings, data),
     }
     parts = {}
     for name, tell in wanted.items():
@@ -103,15 +105,15 @@ def _local(settings: Settings, tool: str | None, data: Path) -> dict[str, str]:
     return parts
 
 
-def _index(settings: Settings, data: Path) -> dict[str, Any]:
-    from app.store.database import index_url_of
-    from app.store.rebuild import READERS
-    from app.store.status import status
+def _describe_index(settings: Settings, data: Path) -> dict[str, Any]:
+    from app.store.database import index_url_from_settings
+    from app.store.rebuild import RECORDING_READERS
+    from app.store.status import read_status
 
-    return asdict(status(index_url_of(settings, data), data, READERS))
+    return asdict(read_status(index_url_from_settings(settings, data), data, RECORDING_READERS))
 
 
-def _about() -> dict[str, Any]:
+def _describe_system() -> dict[str, Any]:
     limits = {"RTPRIO": resource.RLIMIT_RTPRIO, "MEMLOCK": resource.RLIMIT_MEMLOCK, "NOFILE": resource.RLIMIT_NOFILE}
     return {
         "at": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -122,26 +124,26 @@ def _about() -> dict[str, Any]:
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
         "limits": {name: resource.getrlimit(number) for name, number in limits.items()},
         "variables": {
-            name: HIDDEN if "TOKEN" in name else value
+            name: REDACTED if "TOKEN" in name else value
             for name, value in sorted(os.environ.items())
-            if name.startswith(OUR_VARIABLES)
+            if name.startswith(ENVIRONMENT_PREFIXES)
         },
         "packages": dict(sorted((each.metadata["Name"], each.version) for each in distributions())),
     }
 
 
-def _data(data: Path) -> dict[str, Any]:
+def _describe_data(data: Path) -> dict[str, Any]:
     recordings = sorted((data / "recordings").glob("*.mcap"))
-    people = tokens.read(data)
+    people = tokens.read_tokens(data)
     return {
         "folder": str(data),
         "free_bytes": free_bytes(data),
         "recordings": {path.name: path.stat().st_size for path in recordings},
-        "people": Counter(each.role.value for each in people if each.good),
+        "people": Counter(each.role.value for each in people if each.is_valid),
     }
 
 
-def _service(url: str, token: str | None) -> dict[str, str]:
+def _collect_service(url: str, token: str | None) -> dict[str, str]:
     """What the running service says of itself, or why it says nothing."""
     import httpx  # takes a tenth of a second
 
@@ -149,8 +151,10 @@ def _service(url: str, token: str | None) -> dict[str, str]:
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     direct = is_this_computer(httpx.URL(url).host)  # no token leaves it for a proxy
     trust = ssl.create_default_context()
-    with httpx.Client(base_url=url, headers=headers, timeout=ANSWER_S, verify=trust, trust_env=not direct) as service:
-        for name, path in QUESTIONS.items():
+    with httpx.Client(
+        base_url=url, headers=headers, timeout=ANSWER_TIMEOUT_S, verify=trust, trust_env=not direct
+    ) as service:
+        for name, path in SERVICE_ENDPOINTS.items():
             try:
                 answer = service.get(path)
             except (httpx.HTTPError, ssl.SSLError) as error:

@@ -36,14 +36,16 @@ class FrameKind(StrEnum):
 FRAME_KINDS = {FrameKind.LIVE: 0, FrameKind.HISTORY: 1}
 
 
-Person = Annotated[str, Field(min_length=1, max_length=40, pattern=r"\S")]
+PersonName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"\S")]
 
 
 Reason = Annotated[str, Field(min_length=3, max_length=300, pattern=r"\S")]
-UNMEASURED = "Why a real tool may be armed although its force scale is not measured: an admin's reason, for the journal"
+UNMEASURED_SCALE_DESCRIPTION = (
+    "Why a real tool may be armed although its force scale is not measured: an admin's reason, for the journal"
+)
 
 
-class Wire(BaseModel):
+class WireModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
 
 
@@ -85,7 +87,7 @@ class AlarmKind(StrEnum):
     TECHNICAL = "technical"
 
 
-class ChannelInfo(Wire):
+class ChannelInfo(WireModel):
     """One column of the sample frames."""
 
     name: str
@@ -93,7 +95,7 @@ class ChannelInfo(Wire):
     tissue: str | None = None
 
 
-class HoldableInfo(Wire):
+class HoldableInfo(WireModel):
     """Something that the simulated grasper can be told to hold."""
 
     name: str
@@ -101,7 +103,7 @@ class HoldableInfo(Wire):
     in_library: bool
 
 
-class SpreadInfo(Wire):
+class SpreadInfo(WireModel):
     """Standard deviations of natural logarithms from specimen to specimen."""
 
     log_alpha: float
@@ -110,7 +112,7 @@ class SpreadInfo(Wire):
     log_thickness: float
 
 
-class TissueInfo(Wire):
+class TissueInfo(WireModel):
     """A profile of the library in use."""
 
     name: str
@@ -124,7 +126,7 @@ class TissueInfo(Wire):
     spread: SpreadInfo
 
 
-class LibraryInfo(Wire):
+class LibraryInfo(WireModel):
     """The tissue library in use."""
 
     name: str
@@ -135,7 +137,7 @@ class LibraryInfo(Wire):
     tissues: list[TissueInfo]
 
 
-class ForceScaleInfo(Wire):
+class ForceScaleInfo(WireModel):
     """By which scale newtons are told: jaw force is Eq. (2) times `value`; it may be anything from `low` to `high`."""
 
     value: float
@@ -148,7 +150,7 @@ class ForceScaleInfo(Wire):
     text: str = Field(description="The same in words, to stand beside newtons")
 
 
-class ConstantInfo(Wire):
+class ConstantInfo(WireModel):
     """When a constant of the tool file was measured."""
 
     constant: str = Field(description="Its key in the tool file")
@@ -159,7 +161,7 @@ class ConstantInfo(Wire):
     expired: bool
 
 
-class ToolInfo(Wire):
+class ToolInfo(WireModel):
     name: str
     title: str
     kind: ToolKind
@@ -171,7 +173,7 @@ class ToolInfo(Wire):
     calibrated_by: str
 
 
-class ProtocolInfo(Wire):
+class ProtocolInfo(WireModel):
     """A protocol with its waveform: motor command over one cycle, for a preview."""
 
     name: str
@@ -184,7 +186,7 @@ class ProtocolInfo(Wire):
     command_v: list[float]
 
 
-class RunRequest(Wire):
+class RunRequest(WireModel):
     """Start a protocol."""
 
     model_config = ConfigDict(
@@ -194,30 +196,30 @@ class RunRequest(Wire):
     protocol: str = Field(description="Name of a protocol, see GET /api/protocols")
     cycles: Annotated[int, Field(ge=1, le=10_000)] | None = Field(None, description="Grasps; null: the protocol's")
     tissue: str | None = Field(None, description="What the simulated grasper holds; refused for a real tool")
-    by: Person | None = Field(None, description="Who asks for it")
-    unmeasured_scale: Reason | None = Field(None, description=UNMEASURED)
+    by: PersonName | None = Field(None, description="Who asks for it")
+    unmeasured_scale: Reason | None = Field(None, description=UNMEASURED_SCALE_DESCRIPTION)
 
 
-class ArmRequest(Wire):
+class ArmRequest(WireModel):
     """May be left out altogether."""
 
-    by: Person | None = None
-    unmeasured_scale: Reason | None = Field(None, description=UNMEASURED)
+    by: PersonName | None = None
+    unmeasured_scale: Reason | None = Field(None, description=UNMEASURED_SCALE_DESCRIPTION)
 
 
-class SafetyReport(Wire):
+class SafetyReport(WireModel):
     """Where the tool stands after it was armed or disarmed."""
 
     safety: Safety
 
 
-class StopRequest(Wire):
+class StopRequest(WireModel):
     """May be left out altogether: a stop needs no words."""
 
-    by: Person | None = None
+    by: PersonName | None = None
 
 
-class Run(Wire):
+class Run(WireModel):
     """One run of a protocol."""
 
     id: str
@@ -232,7 +234,7 @@ class Run(Wire):
     grasps: int
 
 
-class Grasp(Wire):
+class Grasp(WireModel):
     """A finished grasp. Null where there is no value."""
 
     index: int
@@ -259,7 +261,7 @@ class Grasp(Wire):
     )
 
 
-class Hello(Wire):
+class Hello(WireModel):
     """First message on a connection."""
 
     type: Literal["hello"] = "hello"
@@ -276,7 +278,7 @@ class Hello(Wire):
     frame_rate_hz: float
 
 
-class RecordingState(Wire):
+class RecordingState(WireModel):
     """How it stands with the recorder."""
 
     enabled: bool
@@ -286,7 +288,7 @@ class RecordingState(Wire):
     problem: str | None = Field(description="Why the last recording ended before its run")
 
 
-class State(Wire):
+class State(WireModel):
     """Where everything stands; once a second and at every change."""
 
     type: Literal["state"] = "state"
@@ -309,7 +311,7 @@ class State(Wire):
     faults: list[str]
 
 
-class Identification(Wire):
+class Identification(WireModel):
     """What is held: at every change, and ten times a second during a grasp."""
 
     type: Literal["identification"] = "identification"
@@ -334,13 +336,13 @@ class Identification(Wire):
     force_error_n: dict[str, float | None]
 
 
-class GraspEnded(Wire):
+class GraspEnded(WireModel):
     type: Literal["grasp"] = "grasp"
     run_id: str | None
     grasp: Grasp
 
 
-class Alarm(Wire):
+class Alarm(WireModel):
     """An alarm began, changed or ended. The same `id` until it is over: neither `active` nor `latched`."""
 
     type: Literal["alarm"] = "alarm"
@@ -359,14 +361,14 @@ class Alarm(Wire):
     change: Annotated[int, Field(ge=1)] = Field(1, description="One more each time it is told: the highest is newest")
 
 
-class AcknowledgeRequest(Wire):
+class AcknowledgeRequest(WireModel):
     """Somebody has seen an alarm."""
 
-    by: Person | None = Field(None, description="Who has; whoever is signed in may leave it out")
+    by: PersonName | None = Field(None, description="Who has; whoever is signed in may leave it out")
     priority: Priority = Field(description="What was seen; refused if the alarm is worse by now")
 
 
-class EventMessage(Wire):
+class EventMessage(WireModel):
     """Something worth a line in the log: started, stopped, refused, lost, a tissue's name withdrawn."""
 
     type: Literal["event"] = "event"
@@ -374,14 +376,14 @@ class EventMessage(Wire):
     text: str
 
 
-class FrameReceived(Wire):
+class FrameReceived(WireModel):
     """A viewer's answer to a sample frame; without answers the server stops sending frames after a few."""
 
     type: Literal["received"] = "received"
     sequence: int
 
 
-class ReplayControl(Wire):
+class ReplayControl(WireModel):
     """What a viewer of a replay asks for; null: as it is."""
 
     type: Literal["replay"] = "replay"
@@ -390,7 +392,7 @@ class ReplayControl(Wire):
     speed: Annotated[float, Field(ge=0.25, le=10)] | None = None
 
 
-class ReplayState(Wire):
+class ReplayState(WireModel):
     """Where a replay stands."""
 
     type: Literal["replay_state"] = "replay_state"
@@ -447,7 +449,7 @@ class FileCondition(StrEnum):
     CUT_OFF = "cut off"
 
 
-class FileRecord(Wire):
+class FileRecord(WireModel):
     """A recording as the index knows it. Null where it could not be read, or nobody says."""
 
     name: str
@@ -464,7 +466,7 @@ class FileRecord(Wire):
     deleted_by: str | None = None
 
 
-class JournalEntry(Wire):
+class JournalEntry(WireModel):
     """A line of the journal: what happened, and who did it; and whole, what it is about."""
 
     at: str = Field(description="ISO 8601, UTC")
@@ -489,19 +491,19 @@ class JournalEntry(Wire):
     torn: str | None = Field(None, description="A cut-off line stands before this one: its hash")
     hash: str | None = Field(None, description="SHA-256 of the line up to here, hexadecimal")
 
-    def line(self) -> str:
+    def to_line(self) -> str:
         """As it stands in the journal: without what is null, except within what it is about."""
         return self.model_dump_json(exclude={name for name in type(self).model_fields if getattr(self, name) is None})
 
-    def unchained(self) -> Self:
+    def without_chain(self) -> Self:
         """What it says, without its place in the journal."""
-        return self.model_copy(update=dict.fromkeys(CHAINING))
+        return self.model_copy(update=dict.fromkeys(CHAIN_FIELDS))
 
 
-CHAINING = ("chain", "number", "after", "begins", "torn", "hash")
+CHAIN_FIELDS = ("chain", "number", "after", "begins", "torn", "hash")
 
 
-class JournalCheck(Wire):
+class JournalCheck(WireModel):
     """Whether the journal is as it was written."""
 
     whole: bool = Field(description="Nothing was changed, removed or put in, as far as can be known")
@@ -514,7 +516,7 @@ class JournalCheck(Wire):
     checked_at: str = Field(description="ISO 8601, UTC")
 
 
-class RecordingInfo(Wire):
+class RecordingInfo(WireModel):
     """A file of the recordings folder."""
 
     name: str
@@ -529,14 +531,14 @@ class RecordingInfo(Wire):
     by: str | None
 
 
-class Recordings(Wire):
+class Recordings(WireModel):
     """The recordings folder."""
 
     folder: str
     recordings: list[RecordingInfo]
 
 
-class BinnedRecording(Wire):
+class BinnedRecording(WireModel):
     """A deleted recording that can be restored."""
 
     entry: str = Field(description="Its name in the bin")
@@ -547,7 +549,7 @@ class BinnedRecording(Wire):
     expires_at: str = Field(description="ISO 8601, UTC; soon after that it is removed for good")
 
 
-class BinContent(Wire):
+class BinContent(WireModel):
     """What is in the bin, deleted last first. It takes room on the disk until it is emptied."""
 
     recordings: list[BinnedRecording]
@@ -555,20 +557,20 @@ class BinContent(Wire):
     keep_days: float
 
 
-class Emptied(Wire):
+class Emptied(WireModel):
     """What was removed from the bin, for good."""
 
     removed: int
     freed_bytes: int
 
 
-class ReportProgress(Wire):
+class ReportProgress(WireModel):
     """A report that is being made."""
 
     done: float = Field(description="Share, 0 to 1")
 
 
-class StudyInfo(Wire):
+class StudyInfo(WireModel):
     """A study that can be carried out."""
 
     name: str
@@ -577,13 +579,13 @@ class StudyInfo(Wire):
     most_grasps: int
 
 
-class StudyRequest(Wire):
+class StudyRequest(WireModel):
     """Start a study; one at a time."""
 
     study: str = Field(description="Name of a study, see GET /api/studies")
     grasps: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Null: as many as usual")
     seed: Annotated[int, Field(ge=0)] = 0
-    by: Person | None = None
+    by: PersonName | None = None
 
 
 class StudyState(StrEnum):
@@ -593,7 +595,7 @@ class StudyState(StrEnum):
     FAILED = "failed"
 
 
-class StudyRun(Wire):
+class StudyRun(WireModel):
     """A study that was carried out, or is."""
 
     id: str
@@ -611,7 +613,7 @@ class StudyRun(Wire):
     report: str | None = Field(description="Address of its page, once there is one")
 
 
-class Studies(Wire):
+class Studies(WireModel):
     """What can be studied, and what has been, newest first."""
 
     folder: str
@@ -619,7 +621,7 @@ class Studies(Wire):
     runs: list[StudyRun]
 
 
-class System(Wire):
+class System(WireModel):
     """What runs here, and how it is set up."""
 
     versions: dict[str, str]
@@ -644,7 +646,7 @@ class CalibrationKind(StrEnum):
     GEOMETRY = "geometry"
 
 
-class CalibrationRequest(Wire):
+class CalibrationRequest(WireModel):
     """Begin a calibration of the tool, without tissue."""
 
     what: CalibrationKind
@@ -655,7 +657,7 @@ class CalibrationRequest(Wire):
     valid_days: Annotated[int, Field(ge=1, le=3650)] = 90
 
 
-class CalibrationReading(Wire):
+class CalibrationReading(WireModel):
     """One reading: its weight or gauge, and the means of the signals; after motion over rest and open jaws."""
 
     value: float
@@ -663,7 +665,7 @@ class CalibrationReading(Wire):
     encoder_deg: float
 
 
-class Constant(Wire):
+class Constant(WireModel):
     """A constant of the tool file as measured, with its 95 % confidence interval."""
 
     key: str
@@ -677,7 +679,7 @@ class Constant(Wire):
     before: float | None
 
 
-class CalibrationResult(Wire):
+class CalibrationResult(WireModel):
     """What was fitted, the tool file it stands in, and the plot."""
 
     file: str
@@ -690,7 +692,7 @@ class CalibrationResult(Wire):
     line_y: list[float]
 
 
-class Calibration(Wire):
+class Calibration(WireModel):
     """The calibration under way, or the last one."""
 
     what: CalibrationKind | None
@@ -701,13 +703,13 @@ class Calibration(Wire):
     result: CalibrationResult | None
 
 
-class SignIn(Wire):
+class SignIn(WireModel):
     """Sign a browser in."""
 
     token: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class SessionInfo(Wire):
+class SessionInfo(WireModel):
     """Who asks."""
 
     needed: bool = Field(description="Whether this service has tokens; without them everybody at the machine is admin")
@@ -715,27 +717,27 @@ class SessionInfo(Wire):
     role: Role | None = Field(description="Null: not signed in")
 
 
-class ControlRequest(Wire):
+class ControlRequest(WireModel):
     """Take control of the tool."""
 
     take_over: bool = Field(False, description="Also where somebody else has it")
 
 
-class ControlInfo(Wire):
+class ControlInfo(WireModel):
     """Who has control of the tool: the only operator who may start."""
 
     holder: str | None = Field(description="Null: nobody; whoever starts next")
     expires_in_s: float = Field(description="Unless the holder does something meanwhile")
 
 
-class StopAnswer(Wire):
+class StopAnswer(WireModel):
     """What a stop did."""
 
     stopped: bool = Field(description="Whether a run was stopped. The motor is at zero either way")
     run: Run | None
 
 
-class Health(Wire):
+class Health(WireModel):
     """Whoever is not signed in, where that is needed, learns the status alone."""
 
     status: Literal["ready", "starting", "faulted"]
@@ -744,7 +746,7 @@ class Health(Wire):
     detail: str
 
 
-class Problem(Wire):
+class Problem(WireModel):
     """RFC 9457 problem details, `application/problem+json`."""
 
     type: str = "about:blank"

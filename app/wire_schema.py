@@ -54,7 +54,7 @@ SENT_BY_BROWSER = (
 HEADER_FIELDS = ("magic", "kind", "stride", "columns", "rows", "sequence", "first_tick", "newest_ms")
 
 
-class _ForTypeScript(GenerateJsonSchema):
+class _TypeScriptSchemaGenerator(GenerateJsonSchema):
     """No titles on fields, which would become types of their own; what the server sends is always complete."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:
@@ -64,14 +64,16 @@ class _ForTypeScript(GenerateJsonSchema):
         return self.mode == "serialization" or super().field_is_required(field, total)
 
 
-def schema() -> dict[str, Any]:
+def build_schema() -> dict[str, Any]:
     """Every message and body under `$defs`; the binary frame's header under `x-frame`."""
     modes: list[tuple[tuple[str, ...], JsonSchemaMode]] = [
         (SENT_BY_SERVER, "serialization"),
         (SENT_BY_BROWSER, "validation"),
     ]
     inputs = [(name, mode, TypeAdapter(getattr(wire, name))) for names, mode in modes for name in names]
-    roots, rest = TypeAdapter.json_schemas(inputs, ref_template="#/$defs/{model}", schema_generator=_ForTypeScript)
+    roots, rest = TypeAdapter.json_schemas(
+        inputs, ref_template="#/$defs/{model}", schema_generator=_TypeScriptSchemaGenerator
+    )
     definitions = dict(rest["$defs"])
     for (name, _), root in roots.items():
         definitions.setdefault(name, root)
@@ -81,13 +83,13 @@ def schema() -> dict[str, Any]:
         "description": "Written by `python -m app.wire_schema`; change `app/wire.py` instead.",
         "$defs": dict(sorted(definitions.items())),
         "x-schema-version": wire.SCHEMA_VERSION,
-        "x-frame": frame_layout(),
+        "x-frame": describe_frame_layout(),
     }
 
 
-def frame_layout() -> dict[str, Any]:
+def describe_frame_layout() -> dict[str, Any]:
     """Magic, size, kinds, and the byte offset of each header field with its `struct` code."""
-    order, *codes = _codes(wire.FRAME_HEADER.format)
+    order, *codes = _split_struct_codes(wire.FRAME_HEADER.format)
     if len(codes) != len(HEADER_FIELDS):
         raise RuntimeError("FRAME_HEADER changed: bring HEADER_FIELDS in app/wire_schema.py up to date")
     offsets = [struct.calcsize(order + "".join(codes[:i])) for i in range(len(codes))]
@@ -100,7 +102,7 @@ def frame_layout() -> dict[str, Any]:
     }
 
 
-def _codes(layout: str) -> list[str]:
+def _split_struct_codes(layout: str) -> list[str]:
     """`<4sBB` to `<`, `4s`, `B`, `B`."""
     codes, count = [layout[0]], ""
     for char in layout[1:]:
@@ -111,11 +113,11 @@ def _codes(layout: str) -> list[str]:
     return codes
 
 
-def as_text() -> str:
+def render_schema() -> str:
     """The file's exact content."""
-    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+    return json.dumps(build_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
 if __name__ == "__main__":
-    SCHEMA_FILE.write_text(as_text(), encoding="utf-8")
+    SCHEMA_FILE.write_text(render_schema(), encoding="utf-8")
     print(f"wrote {SCHEMA_FILE}")

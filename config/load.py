@@ -9,17 +9,23 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from config.errors import ConfigurationError
-from config.schema import Protocol, Settings, TissueLibrary, Tool
+from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 
 CONFIG_DIR = Path(__file__).parent
 
-FORMS = ("trapezoid", "sine", "custom", "table", "number")  # pydantic puts them into a fault's place; the file does not
+UNION_TAGS = (
+    "trapezoid",
+    "sine",
+    "custom",
+    "table",
+    "number",
+)  # pydantic puts them into a fault's place; the file does not
 
-MOST_CHARACTERS = 2**24  # a learned library has some hundred thousand
-MOST_NESTED = 50  # tables and arrays within each other; a file of ours has five
-MOST_FAULTS = 100  # told at a time
+MAX_CHARACTERS = 2**24  # a learned library has some hundred thousand
+MAX_NESTING_DEPTH = 50  # tables and arrays within each other; a file of ours has five
+MAX_LISTED_ERRORS = 100  # told at a time
 
-M = TypeVar("M", bound=BaseModel)
+ModelT = TypeVar("M", bound=BaseModel)
 
 
 def load_settings(path: Path | None = None) -> Settings:
@@ -28,44 +34,44 @@ def load_settings(path: Path | None = None) -> Settings:
 
 
 def load_tool(name: str) -> Tool:
-    return load_file(file_of_tool(name), Tool)
+    return load_file(find_tool_file(name), Tool)
 
 
-def file_of_tool(name: str) -> Path:
+def find_tool_file(name: str) -> Path:
     """Where the tool's file lies, by its name or its path."""
-    return _file_named(name, "tools", "tool")
+    return _find_file(name, "tools", "tool")
 
 
 def load_library(name: str) -> TissueLibrary:
     return _load_named(name, "tissues", "tissue library", TissueLibrary)
 
 
-def holdable(library: TissueLibrary) -> TissueLibrary:
+def build_graspable_library(library: TissueLibrary) -> TissueLibrary:
     """What a simulated grasper can be told to hold: the library's tissues, and things that are not in it."""
-    strangers = load_library("strangers")
+    out_of_library = load_library("strangers")
     others = {
-        name: profile.model_copy(update={"spread": strangers.spread_of(name)})
-        for name, profile in strangers.tissues.items()
+        name: profile.model_copy(update={"spread": out_of_library.spread_of(name)})
+        for name, profile in out_of_library.tissues.items()
         if name not in library.tissues
     }
     return library.model_copy(update={"tissues": {**library.tissues, **others}})
 
 
-def load_protocol(name: str) -> Protocol:
-    return _load_named(name, "protocols", "protocol", Protocol)
+def load_protocol(name: str) -> GraspProtocol:
+    return _load_named(name, "protocols", "protocol", GraspProtocol)
 
 
-def available(folder: str) -> list[str]:
+def list_shipped_names(folder: str) -> list[str]:
     """Names of the shipped files in `tools`, `tissues` or `protocols`."""
     return sorted(path.stem for path in (CONFIG_DIR / folder).glob("*.toml"))
 
 
-def stamp(folder: str) -> tuple[int, ...]:
+def read_modification_times(folder: str) -> tuple[int, ...]:
     """When the shipped files in `tools`, `tissues` or `protocols` were changed last, ns each."""
     return tuple(path.stat().st_mtime_ns for path in sorted((CONFIG_DIR / folder).glob("*.toml")))
 
 
-def choose(name: str, names: list[str], what: str) -> str:
+def require_known_name(name: str, names: list[str], what: str) -> str:
     """`name` if it is one of `names`.
 
     Raises:
@@ -78,26 +84,26 @@ def choose(name: str, names: list[str], what: str) -> str:
     raise ConfigurationError(f"There is no {what} {name!r}.{hint} There is: {', '.join(names)}.")
 
 
-def _load_named(name: str, folder: str, what: str, model: type[M]) -> M:
-    return load_file(_file_named(name, folder, what), model)
+def _load_named(name: str, folder: str, what: str, model: type[ModelT]) -> ModelT:
+    return load_file(_find_file(name, folder, what), model)
 
 
-def _file_named(name: str, folder: str, what: str) -> Path:
+def _find_file(name: str, folder: str, what: str) -> Path:
     """A shipped file by its name, or any file by its path (recognised by `/` or `.toml`)."""
     if name.endswith(".toml") or "/" in name:
         return Path(name)
-    return CONFIG_DIR / folder / f"{choose(name, available(folder), what)}.toml"
+    return CONFIG_DIR / folder / f"{require_known_name(name, list_shipped_names(folder), what)}.toml"
 
 
-def load_file(path: Path, model: type[M]) -> M:
+def load_file(path: Path, model: type[ModelT]) -> ModelT:
     """Parse and validate one TOML file.
 
     Raises:
         ConfigurationError: the file is missing, is no TOML, or has faults; all faults are listed with their keys.
     """
     try:
-        content = tomllib.loads(_read(path))
-        _check_depth(content)
+        content = tomllib.loads(_read_text(path))
+        _check_nesting_depth(content)
         as_json = json.dumps(content, default=str)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: there is no such file. Check the path.") from None
@@ -110,13 +116,13 @@ def load_file(path: Path, model: type[M]) -> M:
     try:  # through JSON: its strict mode takes arrays for tuples and strings for enums, but no "5" for 5
         return model.model_validate_json(as_json)
     except ValidationError as error:
-        raise ConfigurationError(describe_faults(str(path), error, model)) from None
+        raise ConfigurationError(describe_validation_errors(str(path), error, model)) from None
 
 
-def _check_depth(content: dict[str, Any]) -> None:
+def _check_nesting_depth(content: dict[str, Any]) -> None:
     """Raise RecursionError where tables or arrays are nested too deep, as parsers do at a depth of their own."""
     level: list[Any] = [content]
-    for _ in range(MOST_NESTED):
+    for _ in range(MAX_NESTING_DEPTH):
         inside = (each.values() if isinstance(each, dict) else each for each in level)
         level = [value for values in inside for value in values if isinstance(value, dict | list)]
         if not level:
@@ -124,25 +130,25 @@ def _check_depth(content: dict[str, Any]) -> None:
     raise RecursionError
 
 
-def _read(path: Path) -> str:
+def _read_text(path: Path) -> str:
     with path.open(encoding="utf-8") as file:
-        text = file.read(MOST_CHARACTERS + 1)
-    if len(text) > MOST_CHARACTERS:
+        text = file.read(MAX_CHARACTERS + 1)
+    if len(text) > MAX_CHARACTERS:
         raise ConfigurationError(f"{path}: is far too long for a configuration file. Check the path.")
     return text
 
 
-def describe_faults(where: str, error: ValidationError, model: type[BaseModel]) -> str:
+def describe_validation_errors(where: str, error: ValidationError, model: type[BaseModel]) -> str:
     """One line a fault: file, key, what is wrong, and the nearest valid key where a key is unknown."""
-    keys = sorted(_all_keys(model.model_json_schema()))
-    faults = [f"{where}: {_describe_fault(fault, keys)}" for fault in error.errors()[:MOST_FAULTS]]
+    keys = sorted(_collect_keys(model.model_json_schema()))
+    faults = [f"{where}: {_describe_validation_error(fault, keys)}" for fault in error.errors()[:MAX_LISTED_ERRORS]]
     found = error.error_count()
-    more = [f"and {found - MOST_FAULTS} more"] if found > MOST_FAULTS else []
+    more = [f"and {found - MAX_LISTED_ERRORS} more"] if found > MAX_LISTED_ERRORS else []
     return "\n".join([f"{found} fault{'s'[: found != 1]} to mend:", *faults, *more])
 
 
-def _describe_fault(fault: Any, keys: list[str]) -> str:
-    named = [part for part in fault["loc"] if part not in FORMS]
+def _describe_validation_error(fault: Any, keys: list[str]) -> str:
+    named = [part for part in fault["loc"] if part not in UNION_TAGS]
     place = ".".join(str(part) for part in named) or "(whole file)"
     if fault["type"] != "extra_forbidden":
         given = "" if fault["type"] == "missing" else f" (found {_shorten(fault['input'])})"
@@ -156,11 +162,11 @@ def _shorten(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _all_keys(schema: Any) -> set[str]:
+def _collect_keys(schema: Any) -> set[str]:
     """Every property name anywhere in a JSON schema."""
     if isinstance(schema, list):
-        return set().union(*(_all_keys(item) for item in schema))
+        return set().union(*(_collect_keys(item) for item in schema))
     if not isinstance(schema, dict):
         return set()
     keys = set(schema.get("properties", {}))
-    return keys.union(*(_all_keys(value) for value in schema.values()))
+    return keys.union(*(_collect_keys(value) for value in schema.values()))

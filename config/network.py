@@ -8,8 +8,8 @@ from typing import NamedTuple
 _LABEL = r"[a-z0-9_]([a-z0-9_-]{0,61}[a-z0-9_])?"
 _HOST = rf"{_LABEL}(\.{_LABEL})*|\[[0-9a-f:.]+\]"
 _AUTHORITY = re.compile(rf"(?P<host>{_HOST})(:(?P<port>[1-9][0-9]{{0,4}}))?", re.IGNORECASE | re.ASCII)
-LONGEST_NAME = 253
-LARGEST_PORT = 65_535
+MAX_HOST_LENGTH = 253
+MAX_PORT = 65_535
 
 
 class Authority(NamedTuple):
@@ -29,12 +29,12 @@ def parse_authority(text: str) -> Authority | None:
     if found is None:
         return None
     host, port = found["host"].lower(), int(found["port"] or 0)
-    if len(host) > LONGEST_NAME or port > LARGEST_PORT or (host.startswith("[") and not _is_ipv6(host[1:-1])):
+    if len(host) > MAX_HOST_LENGTH or port > MAX_PORT or (host.startswith("[") and not _is_ipv6(host[1:-1])):
         return None
     return Authority(host, port or None)
 
 
-def host_of(address: str) -> str:
+def format_host(address: str) -> str:
     """An address of a socket, or a name, as the host of an authority: an IPv6 address in brackets."""
     return f"[{address}]" if ":" in address and not address.startswith("[") else address
 

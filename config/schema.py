@@ -29,11 +29,11 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Slug = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
-Names = Annotated[tuple[str, ...], Field(strict=False)]  # an array, also behind a validator that comes before
+NameTuple = Annotated[tuple[str, ...], Field(strict=False)]  # an array, also behind a validator that comes before
 GrpcAddress = Annotated[str, Field(pattern=r"^([A-Za-z0-9.-]+|\[[0-9a-fA-F:]+\]):\d{1,5}$")]
 
 
-class Model(BaseModel):
+class ConfigModel(BaseModel):
     """Base of all configuration: immutable, no unknown keys, no silent conversion of text to numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -48,7 +48,7 @@ class ToolKind(StrEnum):
     RECORDING = "recording"
 
 
-class Board(Model):
+class Board(ConfigModel):
     """The NI board: one hardware-timed clock for the analog inputs and the encoder."""
 
     device: str = "Dev1"
@@ -85,7 +85,7 @@ class Board(Model):
         return self
 
 
-class Channels(Model):
+class Channels(ConfigModel):
     """Physical channels without the device name, e.g. `ai0`."""
 
     strain: str = "ai0"
@@ -102,7 +102,7 @@ class Channels(Model):
     """Inputs span ± this, V; one of the board's ranges."""
 
 
-class Geometry(Model):
+class Geometry(ConfigModel):
     """Link lengths and angle of the grasper, Table I of the paper."""
 
     r_pp_m: Positive
@@ -123,7 +123,7 @@ class Geometry(Model):
     """Gap between the open jaws, m: the encoder's zero. Without it thickness is no evidence. `calibrate geometry`."""
 
 
-class Measured(Model):
+class ConstantMeasurement(ConfigModel):
     """How a constant of the tool file was measured: by `graspwatch calibrate`."""
 
     constant: Slug
@@ -150,11 +150,11 @@ class Measured(Model):
     """From this day on it is to be measured anew."""
 
 
-EQ2_LEAST, EQ2_MOST = 0.05, 1.0
+EQ2_MIN_SCALE, EQ2_MAX_SCALE = 0.05, 1.0
 """Scales that the paper allows: a constant 0.59 N/V where Eq. (2) gives 12 N/V, and the equation as printed."""
 
 
-class ForceScale(Model):
+class ForceScale(ConfigModel):
     """The scale of newtons: jaw force is Eq. (2) times this. A calibration value with an interval."""
 
     value: Positive
@@ -182,31 +182,31 @@ class ForceScale(Model):
         return self
 
 
-def _with_interval(scale: ForceScale | float) -> ForceScale:
+def _add_default_interval(scale: ForceScale | float) -> ForceScale:
     """The scale of a tool file that states a number alone: not measured, and nothing narrows its interval."""
     if isinstance(scale, ForceScale):
         return scale
     return ForceScale(
         value=scale,
-        low=min(scale, EQ2_LEAST),
-        high=max(scale, EQ2_MOST),
+        low=min(scale, EQ2_MIN_SCALE),
+        high=max(scale, EQ2_MAX_SCALE),
         measured=False,
         source="a tool file that states no interval",
     )
 
 
-def _form_of_scale(given: Any) -> str:
+def _choose_scale_tag(given: Any) -> str:
     return "number" if isinstance(given, int | float) and not isinstance(given, bool) else "table"
 
 
-AnyScale = Annotated[
+ForceScaleOrNumber = Annotated[
     Annotated[ForceScale, Tag("table")] | Annotated[Positive, Tag("number")],
-    Discriminator(_form_of_scale),
-    AfterValidator(_with_interval),
+    Discriminator(_choose_scale_tag),
+    AfterValidator(_add_default_interval),
 ]
 
 
-class Calibration(Model):
+class ToolCalibration(ConfigModel):
     """Eqs. (1), (3) and (5), and the rest voltage that is tared away.
 
     Date, person and expiry are those of the constants that have no table of their own in `measured`.
@@ -218,7 +218,7 @@ class Calibration(Model):
     """How far the cable's stretch turns the encoder for each volt, Eq. (3). `calibrate stretch`."""
     handle_per_encoder: Positive
     """Degrees of the handle for each of the encoder, Eq. (5). `calibrate geometry`."""
-    jaw_force_scale: AnyScale = _with_interval(1.0)
+    jaw_force_scale: ForceScaleOrNumber = _add_default_interval(1.0)
     """Jaw force is Eq. (2) times this. A number alone is one that was not measured."""
     rest_offset_v: Finite
     """What the strain gage reads at rest, V. `calibrate tare`."""
@@ -234,10 +234,10 @@ class Calibration(Model):
     """Who measured them."""
     expires: datetime.date | None = None
     """From this day on they are to be measured anew."""
-    measured: tuple[Measured, ...] = ()
+    measured: tuple[ConstantMeasurement, ...] = ()
     """How constants were measured: one table each, with its own date and expiry."""
 
-    def is_rest(self, strain_v: float) -> bool:
+    def is_rest_voltage(self, strain_v: float) -> bool:
         """Whether the gage may read that at rest; False for NaN."""
         return abs(strain_v - self.rest_offset_v) <= self.rest_tolerance_v
 
@@ -247,7 +247,7 @@ class Calibration(Model):
         return 360.0 / (self.encoder_counts_per_rev * 4 * self.encoder_gear_ratio)
 
 
-class SensorNoise(Model):
+class SensorNoise(ConfigModel):
     """What one raw sample scatters by; the estimator's noise model and the simulated board's noise."""
 
     strain_sd_v: Positive
@@ -261,7 +261,7 @@ class SensorNoise(Model):
         return self.strain_sd_v**2 + self.strain_lsb_v**2 / 12
 
 
-class ToolLimits(Model):
+class ToolLimits(ConfigModel):
     """Hard bounds of the tool, kept by the acquisition worker itself."""
 
     max_command_v: Positive
@@ -274,7 +274,7 @@ class ToolLimits(Model):
     """Longest run, s."""
 
 
-class CommandToForce(Model):
+class CommandToForce(ConfigModel):
     """Static map from motor command to jaw force, linear between the points and beyond the last."""
 
     command_v: tuple[NonNegative, ...]
@@ -292,10 +292,10 @@ class CommandToForce(Model):
             raise ValueError("both maps must rise strictly")
         return self
 
-    def force(self, command_v: np.ndarray | float) -> np.ndarray:
+    def to_force_n(self, command_v: np.ndarray | float) -> np.ndarray:
         return _interpolate_beyond(command_v, self.command_v, self.force_n)
 
-    def command(self, force_n: np.ndarray | float) -> np.ndarray:
+    def to_command_v(self, force_n: np.ndarray | float) -> np.ndarray:
         return _interpolate_beyond(force_n, self.force_n, self.command_v)
 
 
@@ -305,7 +305,7 @@ def _interpolate_beyond(at: np.ndarray | float, xs: tuple[float, ...], ys: tuple
     return np.interp(at, xs, ys) + slope * np.maximum(np.asarray(at, float) - xs[-1], 0.0)
 
 
-class ContactDetection(Model):
+class ContactDetection(ConfigModel):
     """How contact with tissue and shut jaws are told."""
 
     touch_trusted: bool
@@ -328,7 +328,7 @@ class ContactDetection(Model):
     """An encoder whose rest moves by more than this between grasps walks, degrees."""
 
 
-class Plausible(Model):
+class SensorPlausibility(ConfigModel):
     """What the sensors of a sound tool stay within: beyond it the force or the jaws are not known.
 
     The defaults are for the Smart Tool as recorded in 2013, whose own vibration comes to 0.25 V in 3 ms.
@@ -350,7 +350,7 @@ class Plausible(Model):
     """Change of strain while the encoder does not move by a count, V."""
 
 
-class SimulatedGrasper(Model):
+class GrasperMechanics(ConfigModel):
     """Mechanics that the simulated tool adds to the tissue: drive lag, free travel, opening."""
 
     drive_lag_s: Positive
@@ -367,9 +367,9 @@ class SimulatedGrasper(Model):
     """Scatter of the specimens, times the library's."""
 
 
-UNITS_OF_CALIBRATION = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder")
+CALIBRATION_UNIT_KEYS = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder")
 
-CALIBRATED = {
+CALIBRATION_COMMANDS = {
     "newton_per_volt": "strain",
     "encoder_deg_per_volt": "stretch",
     "handle_per_encoder": "geometry",
@@ -378,11 +378,11 @@ CALIBRATED = {
     "strain_sd_v": "tare",
 }
 """Constants of a tool file, and which `graspwatch calibrate` measures each."""
-SCALE = "jaw_force_scale"
+FORCE_SCALE_KEY = "jaw_force_scale"
 
 
 @dataclass(frozen=True, slots=True)
-class ConstantAge:
+class ConstantOrigin:
     """When a constant of the tool file was measured, by whom, and from which day on it is to be measured anew."""
 
     constant: str
@@ -395,7 +395,7 @@ class ConstantAge:
         return self.expires is not None and today >= self.expires
 
 
-class Tool(Model):
+class Tool(ConfigModel):
     """A tool file: board, channels, geometry, calibration, noise, limits."""
 
     name: Slug
@@ -407,26 +407,26 @@ class Tool(Model):
     board: Board = Board()
     channels: Channels = Channels()
     geometry: Geometry
-    calibration: Calibration
+    calibration: ToolCalibration
     noise: SensorNoise
     limits: ToolLimits
     command_to_force: CommandToForce
     contact: ContactDetection
-    plausible: Plausible = Plausible()
-    simulation: SimulatedGrasper | None = None
+    plausible: SensorPlausibility = SensorPlausibility()
+    simulation: GrasperMechanics | None = None
 
     @property
     def calibration_fingerprint(self) -> str:
         """16 hexadecimal digits of what turns volts and degrees into forces and travel: a learned library's units."""
-        calibration = self.calibration.model_dump(include=set(UNITS_OF_CALIBRATION))
-        calibration[SCALE] = self.calibration.jaw_force_scale.value
+        calibration = self.calibration.model_dump(include=set(CALIBRATION_UNIT_KEYS))
+        calibration[FORCE_SCALE_KEY] = self.calibration.jaw_force_scale.value
         geometry = self.geometry.model_dump(exclude={"opening_m"})
         simulated = self.kind is ToolKind.SIMULATED  # its drive and jaws are no real tool's, whatever its constants
         content = json.dumps([simulated, calibration, geometry, self.board.sample_rate_hz], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     @property
-    def force_factor(self) -> float:
+    def max_force_factor(self) -> float:
         """How many times the shown force the true one may be: upper end of the scale's interval over its value.
 
         Exactly 1 for a simulated tool, whose jaws and sensors are made with the same scale.
@@ -434,9 +434,9 @@ class Tool(Model):
         scale = self.calibration.jaw_force_scale
         return 1.0 if self.kind is ToolKind.SIMULATED else scale.high / scale.value
 
-    def shown_n(self, jaw_force_n: float) -> float:
+    def to_displayed_n(self, jaw_force_n: float) -> float:
         """The shown force at which the true one may be `jaw_force_n` already, N: what protects tissue acts there."""
-        return jaw_force_n / self.force_factor
+        return jaw_force_n / self.max_force_factor
 
     @property
     def has_known_scale(self) -> bool:
@@ -444,7 +444,7 @@ class Tool(Model):
         return self.kind is not ToolKind.NIDAQ or self.calibration.jaw_force_scale.measured
 
     @property
-    def scale_in_words(self) -> str:
+    def scale_text(self) -> str:
         """By which scale newtons are told, for people."""
         scale = self.calibration.jaw_force_scale
         value, low, high = (float(f"{each:.3g}") for each in (scale.value, scale.low, scale.high))
@@ -454,14 +454,14 @@ class Tool(Model):
         return f"N by Eq. (2), scale {value} ({low} to {high}), {how}"
 
     @property
-    def constants(self) -> tuple[ConstantAge, ...]:
+    def constant_origins(self) -> tuple[ConstantOrigin, ...]:
         """The age of every constant that a calibration measures; what has no date of its own has the file's."""
         calibration, scale = self.calibration, self.calibration.jaw_force_scale
         own = {how.constant: how for how in calibration.measured}
-        values = calibration.model_dump(include=set(CALIBRATED))
+        values = calibration.model_dump(include=set(CALIBRATION_COMMANDS))
         values |= {"opening_m": self.geometry.opening_m, "strain_sd_v": self.noise.strain_sd_v}
         ages = []
-        for name in CALIBRATED:
+        for name in CALIBRATION_COMMANDS:
             how = own.get(name)
             date, person, expires = (
                 (how.date.isoformat(), how.person, how.expires)
@@ -469,15 +469,15 @@ class Tool(Model):
                 else (calibration.date, calibration.person, calibration.expires)
             )
             if values[name] is not None:
-                ages.append(ConstantAge(name, values[name], date, person, expires))
+                ages.append(ConstantOrigin(name, values[name], date, person, expires))
         date = scale.date.isoformat() if scale.date else calibration.date
         expires = None if self.kind is ToolKind.SIMULATED else scale.expires or calibration.expires
-        ages.append(ConstantAge(SCALE, scale.value, date, scale.source, expires))
+        ages.append(ConstantOrigin(FORCE_SCALE_KEY, scale.value, date, scale.source, expires))
         return tuple(ages)
 
-    def expired(self, today: datetime.date) -> list[ConstantAge]:
+    def find_expired_constants(self, today: datetime.date) -> list[ConstantOrigin]:
         """Constants that are to be measured anew."""
-        return [each for each in self.constants if each.is_expired(today)]
+        return [each for each in self.constant_origins if each.is_expired(today)]
 
     @model_validator(mode="after")
     def _simulated_has_mechanics(self) -> Self:
@@ -489,7 +489,7 @@ class Tool(Model):
 # --- tissues ---------------------------------------------------------------------------------------------------------
 
 
-class Spread(Model):
+class ParameterSpread(ConfigModel):
     """Standard deviations of the natural logarithms of the parameters from specimen to specimen."""
 
     log_alpha: Positive
@@ -498,7 +498,7 @@ class Spread(Model):
     log_thickness: Positive = 0.2
 
 
-class LearnedRecording(Model):
+class LearnedRecording(ConfigModel):
     """One recording that a tissue was learned from."""
 
     file: str
@@ -509,7 +509,7 @@ class LearnedRecording(Model):
     centre: tuple[Finite, ...] = Field(min_length=1)  # of `Learned.features`
 
 
-class LearnedTissue(Model):
+class LearnedTissue(ConfigModel):
     """What recordings say of a tissue, in the units of their tool's calibration."""
 
     grasps: Annotated[int, Field(ge=1)]
@@ -542,7 +542,7 @@ def _check_covariance(name: str, rows: tuple[tuple[float, ...], ...], size: int)
 LOADING_FEATURES = ("opening", "force_40deg", "force_5deg", "knee", "lean", "stall", "yield", "give")
 
 
-class Learned(Model):
+class LearnedLibrary(ConfigModel):
     """Where a library was learned, and what all of its tissues share."""
 
     date: str
@@ -562,7 +562,7 @@ class Learned(Model):
         return self
 
 
-class TissueProfile(Model):
+class TissueProfile(ConfigModel):
     """u = m x'' + d x' + alpha (exp(beta x) - 1), Eq. (7), and the pressure that injures."""
 
     title: str
@@ -571,11 +571,11 @@ class TissueProfile(Model):
     damping_kg_per_s: Positive
     thickness_m: Positive
     threshold_pa: Positive
-    spread: Spread | None = None
+    spread: ParameterSpread | None = None
     learned: LearnedTissue | None = None
 
 
-class TissueLibrary(Model):
+class TissueLibrary(ConfigModel):
     """Tissue profiles that are told apart from each other."""
 
     name: Slug
@@ -583,8 +583,8 @@ class TissueLibrary(Model):
     source: str
     mass_kg: Positive
     jaw_area_m2: Positive
-    spread: Spread
-    learned: Learned | None = None
+    spread: ParameterSpread
+    learned: LearnedLibrary | None = None
     tissues: dict[Slug, TissueProfile] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -624,16 +624,16 @@ class TissueLibrary(Model):
                 "recordings of this one."
             )
 
-    def spread_of(self, tissue: str) -> Spread:
+    def spread_of(self, tissue: str) -> ParameterSpread:
         return self.tissues[tissue].spread or self.spread
 
     def threshold_n(self, tissue: str) -> float:
         """Force at which injury begins: threshold pressure times jaw area, N."""
         return self.tissues[tissue].threshold_pa * self.jaw_area_m2
 
-    def shown_thresholds_n(self, tool: Tool) -> dict[str, float]:
+    def displayed_thresholds_n(self, tool: Tool) -> dict[str, float]:
         """The shown force of `tool` at which each tissue may be injured already, N."""
-        return {name: tool.shown_n(self.threshold_n(name)) for name in self.tissues}
+        return {name: tool.to_displayed_n(self.threshold_n(name)) for name in self.tissues}
 
     @property
     def lowest_threshold_n(self) -> float:
@@ -643,7 +643,7 @@ class TissueLibrary(Model):
 # --- protocols -------------------------------------------------------------------------------------------------------
 
 
-class Trapezoid(Model):
+class TrapezoidWaveform(ConfigModel):
     """Ramp up, hold, ramp down, rest, as motor command."""
 
     shape: Literal["trapezoid"]
@@ -662,7 +662,7 @@ class Trapezoid(Model):
         return self.grasp_s + self.rest_s
 
 
-class Sine(Model):
+class SineWaveform(ConfigModel):
     """Raised cosine of force, A/2 (1 - cos 2 pi f t): the first cycle slow, the rest fast, then rest."""
 
     shape: Literal["sine"]
@@ -681,7 +681,7 @@ class Sine(Model):
         return self.grasp_s + self.rest_s
 
 
-class Custom(Model):
+class CustomWaveform(ConfigModel):
     """Straight lines between points of motor command over time; begins and ends at 0 V."""
 
     shape: Literal["custom"]
@@ -708,20 +708,20 @@ class Custom(Model):
         return self.grasp_s + self.rest_s
 
 
-class Protocol(Model):
+class GraspProtocol(ConfigModel):
     """A named waveform and how often it is repeated unless told otherwise."""
 
     name: Slug
     title: str
     lead_in_s: Annotated[float, Field(ge=0.25, le=60)] = 0.5
     cycles: Annotated[int, Field(ge=1, le=10_000)] = 1
-    waveform: Annotated[Trapezoid | Sine | Custom, Field(discriminator="shape")]
+    waveform: Annotated[TrapezoidWaveform | SineWaveform | CustomWaveform, Field(discriminator="shape")]
 
 
 # --- the service -----------------------------------------------------------------------------------------------------
 
 
-class Server(Model):
+class ServerSettings(ConfigModel):
     """Where the service listens, by which names it is asked, and how much it takes.
 
     `hosts` are names beside localhost, 127.0.0.1, [::1] and the address that it listens on. Where there are tokens and
@@ -730,8 +730,8 @@ class Server(Model):
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8000
-    hosts: Names = ()
-    trusted_proxies: Names = ()
+    hosts: NameTuple = ()
+    trusted_proxies: NameTuple = ()
     frame_rate_hz: Annotated[float, Field(gt=0, le=100)] = 30.0
     max_viewers: Annotated[int, Field(ge=1)] = 100
     history_s: Positive = 10.0
@@ -781,21 +781,21 @@ class Server(Model):
         return self
 
 
-class People(Model):
+class PeopleSettings(ConfigModel):
     """How long a browser stays signed in without a sign of life, and an operator in control without doing anything."""
 
     session_idle_s: Positive = 3600.0
     control_expires_s: Positive = 600.0
 
 
-class Conditioning(Model):
+class ConditioningSettings(ConfigModel):
     """The paper's low-pass for what people look at: 2nd-order Butterworth at 10 Hz."""
 
     butterworth_order: Annotated[int, Field(ge=1, le=4)] = 2
     butterworth_cutoff_hz: Positive = 10.0
 
 
-class Identification(Model):
+class IdentificationSettings(ConfigModel):
     """When a tissue is named, and what is believed before any data."""
 
     decide_at: Probability = 0.95
@@ -813,7 +813,7 @@ class Identification(Model):
         return self
 
 
-class Arming(Model):
+class ArmingSettings(ConfigModel):
     """Arming takes a tare and a self-test at rest; with `arm_with_start` a start does it where nobody has before.
 
     A run ends with the motor at zero once its server has been silent for `server_silence_s`: STOP comes through it.
@@ -823,7 +823,7 @@ class Arming(Model):
     server_silence_s: Annotated[float, Field(ge=0.3, le=10.0)] = 1.0
 
 
-class Limiter(Model):
+class LimiterSettings(ConfigModel):
     """Where the force is held: a share of the injury threshold in force.
 
     The threshold that the estimator tells counts for `limit_expires_s`; after that it is the library's lowest.
@@ -833,7 +833,7 @@ class Limiter(Model):
     limit_expires_s: Positive = 0.1
 
 
-class Recording(Model):
+class RecordingSettings(ConfigModel):
     """What is kept of every run. Nothing is recorded where fewer than `least_free_bytes` are free.
 
     A deleted recording stays in the bin for `keep_deleted_days`.
@@ -847,7 +847,7 @@ class Recording(Model):
     keep_deleted_days: Annotated[float, Field(ge=0, le=36_500)] = 30.0
 
 
-class Warnings(Model):
+class WarningSettings(ConfigModel):
     """Shares of the threshold in force at which low, medium and high warnings begin, and their hysteresis."""
 
     low: Probability = 0.7
@@ -862,7 +862,7 @@ class Warnings(Model):
         return self
 
 
-class Realtime(Model):
+class RealtimeSettings(ConfigModel):
     """What acquisition, estimator and guard ask the system for; what it grants is told, and the rest goes without."""
 
     priority: bool = True  # SCHED_FIFO; for server and recorder, too
@@ -876,7 +876,7 @@ class LogFormat(StrEnum):
     JSON = "json"
 
 
-class Logs(Model):
+class LogSettings(ConfigModel):
     """What is said on the error output; more of it is kept in `logs/` of the data folder, as JSON lines."""
 
     level: Literal["info", "warning", "error"] = "warning"
@@ -884,27 +884,27 @@ class Logs(Model):
     keep: bool = True
 
 
-class Foxglove(Model):
+class FoxgloveSettings(ConfigModel):
     """The live stream for Foxglove, Lichtblick and the like. They cannot sign in: this computer's programs only."""
 
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
 
 
-class Settings(Model):
+class Settings(ConfigModel):
     """`graspwatch.toml`: everything of the service that is not a tool, a library or a protocol."""
 
     tool: str = "simulated"
     library: str = "porcine"
     data_folder: str = "graspwatch-data"
     index_url: SecretStr | None = None  # it may hold a password: never shown
-    server: Server = Server()
-    people: People = People()
-    conditioning: Conditioning = Conditioning()
-    identification: Identification = Identification()
-    safety: Arming = Arming()
-    realtime: Realtime = Realtime()
-    limiter: Limiter = Limiter()
-    warnings: Warnings = Warnings()
-    recording: Recording = Recording()
-    logs: Logs = Logs()
-    foxglove: Foxglove = Foxglove()
+    server: ServerSettings = ServerSettings()
+    people: PeopleSettings = PeopleSettings()
+    conditioning: ConditioningSettings = ConditioningSettings()
+    identification: IdentificationSettings = IdentificationSettings()
+    safety: ArmingSettings = ArmingSettings()
+    realtime: RealtimeSettings = RealtimeSettings()
+    limiter: LimiterSettings = LimiterSettings()
+    warnings: WarningSettings = WarningSettings()
+    recording: RecordingSettings = RecordingSettings()
+    logs: LogSettings = LogSettings()
+    foxglove: FoxgloveSettings = FoxgloveSettings()

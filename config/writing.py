@@ -10,16 +10,16 @@ import tomlkit
 from tomlkit.items import Table
 
 from config.errors import ConfigurationError
-from config.load import file_of_tool, load_tool
-from config.schema import Measured
+from config.load import find_tool_file, load_tool
+from config.schema import ConstantMeasurement
 
-DATED = re.compile(r"-\d{4}-\d{2}-\d{2}(-\d+)?$")
-MOST_A_DAY = 1000
-DIGITS = 6
+DATE_SUFFIX = re.compile(r"-\d{4}-\d{2}-\d{2}(-\d+)?$")
+MAX_FILES_PER_DAY = 1000
+SIGNIFICANT_DIGITS = 6
 
 
-def write_calibrated(
-    tool: str, values: Mapping[str, float], measured: Sequence[Measured], today: date, into: Path
+def write_calibrated_tool(
+    tool: str, values: Mapping[str, float], measured: Sequence[ConstantMeasurement], today: date, into: Path
 ) -> Path:
     """A tool file like that of `tool` (a name or a path), with other constants.
 
@@ -31,37 +31,39 @@ def write_calibrated(
     Raises:
         ConfigurationError: the folder cannot be written to, or the outcome is no valid tool file.
     """
-    old = file_of_tool(tool)
+    old = find_tool_file(tool)
     document = tomlkit.parse(old.read_text(encoding="utf-8"))
     for place, value in values.items():
         table, key = place.split(".")
-        document[table][key] = _rounded(value)
+        document[table][key] = _round_value(value)
     calibration: Table = document["calibration"]
     anew = {how.constant for how in measured}
     kept = [table for table in calibration.pop("measured", []) if table["constant"] not in anew]
     tables = tomlkit.aot()
     for table in [*kept, *(how.model_dump() for how in measured)]:
-        tables.append(tomlkit.item({name: _rounded(value) for name, value in table.items()}))
+        tables.append(tomlkit.item({name: _round_value(value) for name, value in table.items()}))
     calibration["measured"] = tables
     try:
-        path = _write_new(into, DATED.sub("", old.stem) + f"-{today.isoformat()}", _spaced(tomlkit.dumps(document)))
+        path = _write_new(
+            into, DATE_SUFFIX.sub("", old.stem) + f"-{today.isoformat()}", _separate_tables(tomlkit.dumps(document))
+        )
     except OSError as error:
-        raise _unwritable(into, error) from None
+        raise _create_unwritable_error(into, error) from None
     load_tool(str(path))
     return path
 
 
-def _rounded(value: object) -> object:
+def _round_value(value: object) -> object:
     """A number as it stands in a file."""
-    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+    return float(f"{value:.{SIGNIFICANT_DIGITS}g}") if isinstance(value, float) else value
 
 
-def _spaced(text: str) -> str:
+def _separate_tables(text: str) -> str:
     """With an empty line before each table."""
     return re.sub(r"(?<!\n)\n\[", "\n\n[", text)
 
 
-def check_folder(folder: Path) -> None:
+def check_writable(folder: Path) -> None:
     """Whether tool files can be written there; before anybody measures in vain.
 
     Raises:
@@ -72,17 +74,17 @@ def check_folder(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise _unwritable(folder, error) from None
+        raise _create_unwritable_error(folder, error) from None
 
 
-def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
+def _create_unwritable_error(folder: Path, error: OSError) -> ConfigurationError:
     return ConfigurationError(
         f"{folder}: no tool file can be written there ({error.strerror}). Mend that, or name another folder (--into)."
     )
 
 
 def _write_new(folder: Path, stem: str, text: str) -> Path:
-    for n in range(1, MOST_A_DAY):
+    for n in range(1, MAX_FILES_PER_DAY):
         path = folder / (f"{stem}.toml" if n == 1 else f"{stem}-{n}.toml")
         try:
             with path.open("x", encoding="utf-8") as file:

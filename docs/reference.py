@@ -32,7 +32,7 @@ def written() -> dict[str, str]:
         if table and table["type"] == "object" and "properties" in table:
             tables += _table(f"`[{name}]`", table, schema)
     tables += _table("`[calibration.jaw_force_scale]`", schema["$defs"]["ForceScale"], schema)
-    tables += _table("`[[calibration.measured]]`", schema["$defs"]["Measured"], schema)
+    tables += _table("`[[calibration.measured]]`", schema["$defs"]["ConstantMeasurement"], schema)
     return {
         "tool-file.md": "\n".join(tables) + "\n",
         "tool.schema.json": json.dumps(schema, indent=2, ensure_ascii=False) + "\n",

@@ -14,8 +14,8 @@ from typer.main import get_command
 from app import cli, wire
 from app.main import ROUTERS
 from app.metrics import Metrics
-from app.people.rights import rights_of
-from app.wire_schema import HEADER_FIELDS, frame_layout, schema
+from app.people.rights import collect_route_permissions
+from app.wire_schema import HEADER_FIELDS, build_schema, describe_frame_layout
 from config.load import CONFIG_DIR
 
 DOCS = Path(__file__).parent
@@ -46,7 +46,7 @@ def requests() -> str:
     api = FastAPI()
     for router in ROUTERS:
         api.include_router(router)
-    roles = rights_of(ROUTERS)
+    roles = collect_route_permissions(ROUTERS)
     parts = [
         f"# Requests\n\n{WRITTEN}\nThe service's own `/docs` tries them out, with every field. Errors are "
         "`application/problem+json` (RFC 9457): `detail` says what is wrong and what to do. Who may: with tokens, each "
@@ -98,7 +98,7 @@ def _name(prop: dict[str, Any]) -> str:
 
 def stream() -> str:
     """Messages and frames of `/api/live`."""
-    contract = schema()["$defs"]
+    contract = build_schema()["$defs"]
     parts = [f"# Live stream\n\n{WRITTEN}\n{_paragraphs(wire.__doc__)}\n", "## What the server sends\n"]
     parts += [_table(name, contract) for name in MESSAGES]
     parts.append("## What a viewer sends\n")
@@ -106,7 +106,7 @@ def stream() -> str:
     inside = sorted(_used(MESSAGES, contract) - set(MESSAGES))
     parts.append("## What stands in them\n")
     parts += [_table(name, contract) for name in inside]
-    frame = frame_layout()
+    frame = describe_frame_layout()
     kinds = ", ".join(f"{code} `{kind}`" for kind, code in frame["kinds"].items())
     parts.append(
         f"## The binary frame\n\n`{frame['format']}` of Python's `struct`, {frame['header_bytes']} bytes, magic "
@@ -150,7 +150,7 @@ def metrics() -> str:
         "| metric | kind | what it is |",
         "|---|---|---|",
     ]
-    told = Metrics().text().decode()
+    told = Metrics().render().decode()
     for name, what, kind in re.findall(r"# HELP (graspwatch_\S+) (.*)\n# TYPE \S+ (\w+)", told):
         if not name.endswith("_created"):
             parts.append(f"| `{name}` | {kind} | {what} |")

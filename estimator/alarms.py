@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from config.schema import Warnings
+from config.schema import WarningSettings
 
 
 class Priority(StrEnum):
@@ -23,24 +23,24 @@ class ForceAlarm:
     threshold_tissue: str | None
 
 
-class ForceWarnings:
+class ForceAlarmMonitor:
     """Follows the force; says when the warning's priority changes, with hysteresis downwards."""
 
-    def __init__(self, shares: Warnings) -> None:
-        self._begin = {Priority.LOW: shares.low, Priority.MEDIUM: shares.medium, Priority.HIGH: shares.high}
+    def __init__(self, shares: WarningSettings) -> None:
+        self._onset_shares = {Priority.LOW: shares.low, Priority.MEDIUM: shares.medium, Priority.HIGH: shares.high}
         self._hysteresis = shares.hysteresis
-        self._now: Priority | None = None
+        self._priority: Priority | None = None
         self._tissue: str | None = None
 
     def update(self, tick: int, force_n: float, threshold_n: float, threshold_tissue: str | None) -> ForceAlarm | None:
         """Take the force and the threshold in force, N; returns the change, if there is one."""
         share = force_n / threshold_n
         reached = None
-        for priority, begin in self._begin.items():
-            held = self._now is not None and begin <= self._begin[self._now]
+        for priority, begin in self._onset_shares.items():
+            held = self._priority is not None and begin <= self._onset_shares[self._priority]
             if share >= begin - (self._hysteresis if held else 0.0):
                 reached = priority
-        if reached is self._now and (reached is None or threshold_tissue == self._tissue):
+        if reached is self._priority and (reached is None or threshold_tissue == self._tissue):
             return None
-        self._now, self._tissue = reached, threshold_tissue
+        self._priority, self._tissue = reached, threshold_tissue
         return ForceAlarm(tick, reached, force_n, threshold_n, threshold_tissue)

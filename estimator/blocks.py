@@ -38,7 +38,7 @@ def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True)
-class Identification:
+class IdentificationResult:
     """What is held, as known at `tick`. `grasp` counts from 1; 0 before the first."""
 
     tick: int
@@ -86,7 +86,7 @@ class GraspRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Withdrawal:
+class LabelWithdrawal:
     """A name that a grasp had been given no longer holds; `probability` is what is left of it.
 
     `why`: what speaks against the grasp itself; None where the samples changed the answer.
@@ -107,12 +107,12 @@ class EstimateBlock:
     t_mono_ns: int
     lost_samples: int
     estimates: np.ndarray
-    identification: Identification
+    identification: IdentificationResult
     ended: tuple[GraspRecord, ...]
     alarms: tuple[ForceAlarm, ...]
-    withdrawn: tuple[Withdrawal, ...] = ()
+    withdrawn: tuple[LabelWithdrawal, ...] = ()
 
 
-def finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """None in place of NaN or infinity."""
     return float(value) if math.isfinite(value) else None

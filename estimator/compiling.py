@@ -5,7 +5,7 @@ from pathlib import Path
 from numba import njit
 
 
-def forget_stale(package: Path) -> None:
+def remove_stale_cache(package: Path) -> None:
     """Remove compiled functions that are older than any source of the package.
 
     Numba's cache looks at a function's own file only; here constants and helpers come from other files of the package.
@@ -21,7 +21,7 @@ def forget_stale(package: Path) -> None:
             continue
 
 
-forget_stale(Path(__file__).parent)
+remove_stale_cache(Path(__file__).parent)
 
 # Division by zero gives infinity, and the filter is then found to have diverged; it must not raise between two samples.
 compiled = njit(cache=True, error_model="numpy")

@@ -7,20 +7,22 @@ the sensor chain, or was chosen on simulated grasps whose seeds the studies do n
 import numpy as np
 
 # --- where a grasp starts ---------------------------------------------------------------------------------------------
-PRIOR_WIDENING = 2.0  # a filter's prior is wider than its tissue's spread, so that it can follow its neighbours' data
-CONTACT_PAST_M = 28e-6  # a touch is told a sample (up to 30 µm) late, and touch sensors need some pressure themselves:
-CONTACT_PAST_SD_M = 38e-6  # up to 0.1 mm of it can then be found from the data
+PRIOR_SD_FACTOR = 2.0  # a filter's prior is wider than its tissue's spread, so that it can follow its neighbours' data
+INITIAL_COMPRESSION_M = (
+    28e-6  # a touch is told a sample (up to 30 µm) late, and touch sensors need some pressure themselves:
+)
+INITIAL_COMPRESSION_SD_M = 38e-6  # up to 0.1 mm of it can then be found from the data
 VELOCITY_SD_M_PER_S = 0.05  # the jaws arrive at about 30 mm/s
-UNFELT_FORCE_N = 0.005  # scale of what presses before the back-dated rise of the force begins; see decision 4
+UNDETECTED_FORCE_N = 0.005  # scale of what presses before the back-dated rise of the force begins; see decision 4
 
 # --- noise ------------------------------------------------------------------------------------------------------------
 FORCE_NOISE_SD_N = 0.001  # what the strain gage does not see: motion of the tissue, roughness of the drive
 DISPLACEMENT_NOISE_SD_M = 0.5e-6  # rounding to an encoder count of about 1 µm at the jaws, with a margin
 LOG_WALK_SD = np.array([1e-4, 1e-4, 5e-4])  # a sample: log alpha, beta, d drift slowly under load
 REST_SAMPLES = 400  # before a grasp, from which the strain noise is measured: good to 6 %
-REST_LEAST = 100  # fewer say too little: what the tool file says holds
-REST_SETTLES = 100  # samples after a grasp in which the jaws still open
-REST_RANGE = (0.1, 100.0)  # of the tool file's variance, within which the measured one is believed
+MIN_REST_SAMPLES = 100  # fewer say too little: what the tool file says holds
+REST_SETTLING_SAMPLES = 100  # samples after a grasp in which the jaws still open
+REST_VARIANCE_RANGE = (0.1, 100.0)  # of the tool file's variance, within which the measured one is believed
 
 # --- trust in the model: each tissue has a filter of either kind, and the data say which is right (decision 8) --------
 STRICT_LOG_MASS_SD = 0.05  # as good as known
@@ -38,18 +40,20 @@ REAL_DYNAMIC_SHARE = 0.5
 REAL_DRIFT_RATE = 10.0  # of the force squared, a second: the tissue leaves its curve by 30 % in 10 ms
 
 # A lenient filter learns parameters only while the force rises: afterwards it would take relaxation for damping.
-RISING_SPAN, RISING_MEAN = 40, 5  # samples: the mean of the last five against that of five, 40 ms before
-RISING_LEAST_N = 0.02  # two standard deviations of such a difference at 2 mV
-RISING_SHARE = 0.03  # of the force: noise of a worse strain gage is no rise
-RELEASED_SHARE = 0.2  # of the largest force: the jaws open, the return spring moves them and not the tissue
-RELEASED_PEAK_N = 0.2  # a smaller force is not yet a grasp that can be over
-EMPTY_JAWS_M = 0.1e-3  # jaws that are shut after less travel than this from contact hold nothing
+RISE_SPAN_SAMPLES, RISE_MEAN_SAMPLES = 40, 5  # samples: the mean of the last five against that of five, 40 ms before
+MIN_RISE_N = 0.02  # two standard deviations of such a difference at 2 mV
+MIN_RISE_SHARE = 0.03  # of the force: noise of a worse strain gage is no rise
+JAW_OPENING_SHARE = 0.2  # of the largest force: the jaws open, the return spring moves them and not the tissue
+MIN_PEAK_BEFORE_OPENING_N = 0.2  # a smaller force is not yet a grasp that can be over
+EMPTY_JAWS_TRAVEL_M = 0.1e-3  # jaws that are shut after less travel than this from contact hold nothing
 
 # --- health of a filter -----------------------------------------------------------------------------------------------
-LOG_RANGE = 7.0  # a parameter further than a factor 1,100 from its guess has run away
+MAX_LOG_DEVIATION = 7.0  # a parameter further than a factor 1,100 from its guess has run away
 EXPONENT_LIMIT = 50.0  # beta x beyond which a filter has diverged; exp(50) is beyond any tissue
-NIS_SURPRISING = 16.0  # four standard deviations: the linearisation has misled the filter, so it gets less sure
-WIDENING_MOST = 4.0  # times the covariance, in one sample
+NIS_INFLATION_THRESHOLD = (
+    16.0  # four standard deviations: the linearisation has misled the filter, so it gets less sure
+)
+MAX_INFLATION = 4.0  # times the covariance, in one sample
 NIS_MEMORY = 0.95  # of the running mean of the normalised innovation squared: 20 samples
 NIS_DIVERGED = 50.0
 
@@ -61,12 +65,12 @@ SECOND_PASS_AT = np.array([16, 64, 256, 1024])
 # --- evidence ---------------------------------------------------------------------------------------------------------
 MODEL_ERROR_LOG_SD = np.array([0.05, 0.02, 0.3])  # of log alpha, beta, d beyond the specimens' spread: no tissue is
 # exactly Eq. (7), and what is taken for its damping depends most on what else moves
-NIS_TOLERATED = 1.3  # mean normalised innovation squared up to which the model counts as fitting; beyond, the data
+NIS_TOLERANCE = 1.3  # mean normalised innovation squared up to which the model counts as fitting; beyond, the data
 # are believed less in proportion
-SURPRISE_FROM = 20  # samples after contact before the best filter's running misfit means anything
-SURPRISE_TOLERATED = 2.0  # tissues give rise to 1.4 to 1.8, whatever Eq. (7) misses of them, with a margin for friction
-SURPRISE_SAMPLES = 39  # that a running mean with this memory is worth: (1 + 0.95) / (1 - 0.95)
-FOLDED_SHARE = 0.02  # of grasps in which the thickness at contact says nothing: an edge or a fold was taken
-FILLED_MARGIN_M = 1e-3  # tissue met within this travel may be thicker than the jaws open
+SURPRISE_MIN_SAMPLES = 20  # samples after contact before the best filter's running misfit means anything
+SURPRISE_TOLERANCE = 2.0  # tissues give rise to 1.4 to 1.8, whatever Eq. (7) misses of them, with a margin for friction
+SURPRISE_EFFECTIVE_SAMPLES = 39  # that a running mean with this memory is worth: (1 + 0.95) / (1 - 0.95)
+FOLD_PROBABILITY = 0.02  # of grasps in which the thickness at contact says nothing: an edge or a fold was taken
+FILLED_JAWS_MARGIN_M = 1e-3  # tissue met within this travel may be thicker than the jaws open
 UNKNOWN_THICKNESS_M = 0.009  # of things outside the library, with
 UNKNOWN_LOG_THICKNESS_SD = 1.0  # a factor 2.7 either way

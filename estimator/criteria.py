@@ -22,26 +22,26 @@ class ForceErrors:
 
     def __init__(self, filters: int, convergence_error: float) -> None:
         self._errors: list[np.ndarray] = [np.empty((0, filters))]
-        self._share = convergence_error
+        self._convergence_share = convergence_error
         self._peak_n = 0.0
-        self._count = 0
+        self._sample_count = 0
 
-    def add(self, filter_force_n: np.ndarray, force_n: np.ndarray) -> None:
+    def append(self, filter_force_n: np.ndarray, force_n: np.ndarray) -> None:
         """Take samples: filters' forces (n, K), measured force (n,)."""
         self._errors.append(filter_force_n - force_n[:, None])
         self._peak_n = max(self._peak_n, float(force_n.max()))
-        self._count += len(force_n)
+        self._sample_count += len(force_n)
 
     def truncate(self, samples: int) -> None:
         """Forget all but the first samples."""
-        self._errors = [self._joined()[:samples]]
-        self._count = len(self._errors[0])
+        self._errors = [self._concatenate()[:samples]]
+        self._sample_count = len(self._errors[0])
 
     def __len__(self) -> int:
         """How many samples there are."""
-        return self._count
+        return self._sample_count
 
-    def _joined(self) -> np.ndarray:
+    def _concatenate(self) -> np.ndarray:
         if len(self._errors) > 1:
             self._errors = [np.concatenate(self._errors)]
         return self._errors[0]
@@ -51,11 +51,11 @@ class ForceErrors:
 
         The bound is 15 % of the largest force (Section V).
         """
-        return convergence_samples(self._joined(), self._share * self._peak_n)
+        return convergence_samples(self._concatenate(), self._convergence_share * self._peak_n)
 
     def mean_error_n(self) -> np.ndarray:
         """Mean error of each filter where it has an estimate, N, (K,); NaN where it never has."""
-        errors = self._joined()
+        errors = self._concatenate()
         sound = np.isfinite(errors)
         count = sound.sum(axis=0)
         total = np.where(sound, errors, 0.0).sum(axis=0)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.schema import Identification
+from config.schema import IdentificationSettings
 
 UNDECIDED = "undecided"
 UNKNOWN = "unknown"
@@ -15,7 +15,7 @@ class Decision:
     """The label of one grasp: named once `decide_at` has held for a while, withdrawn below `withdraw_below`."""
 
     names: tuple[str, ...]  # the library's tissues, then `unknown`
-    settings: Identification
+    settings: IdentificationSettings
     rate_hz: float
     label: str = UNDECIDED
     decided_tick: int = -1

@@ -14,42 +14,42 @@ import math
 import numpy as np
 from scipy.special import log_ndtr
 
-from config.schema import Identification, TissueLibrary
-from estimator.bank import Bank
+from config.schema import IdentificationSettings, TissueLibrary
+from estimator.bank import FilterBank
 from estimator.compiling import compiled
 from estimator.constants import (
-    FILLED_MARGIN_M,
-    FOLDED_SHARE,
+    FILLED_JAWS_MARGIN_M,
+    FOLD_PROBABILITY,
     MODEL_ERROR_LOG_SD,
-    NIS_TOLERATED,
-    SURPRISE_SAMPLES,
-    SURPRISE_TOLERATED,
+    NIS_TOLERANCE,
+    SURPRISE_EFFECTIVE_SAMPLES,
+    SURPRISE_TOLERANCE,
     UNKNOWN_LOG_THICKNESS_SD,
     UNKNOWN_THICKNESS_M,
 )
-from estimator.filter import LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, WIDENED, likeliest
+from estimator.filter import INFLATION, LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, find_most_likely
 
-FLAT_VAR = 1e100  # of a prior that says nothing
+UNINFORMATIVE_VAR = 1e100  # of a prior that says nothing
 
 
-class Evidence:
+class BankEvidence:
     """Probabilities of the library's tissues, in its order, and of `unknown`, last."""
 
-    def __init__(self, bank: Bank, library: TissueLibrary, settings: Identification) -> None:
+    def __init__(self, bank: FilterBank, library: TissueLibrary, settings: IdentificationSettings) -> None:
         self._bank = bank
         priors = bank.priors
         self._mean = np.vstack([priors.mean, priors.mean.mean(axis=0)])
         self._var = np.vstack([priors.sd**2, np.full(3, settings.unknown_spread_log**2)]) + MODEL_ERROR_LOG_SD**2
         known = (1.0 - settings.prior_unknown) / len(priors.names)
         self._log_prior = np.log([known] * len(priors.names) + [settings.prior_unknown])
-        self._thickness = Thickness(library)
+        self._thickness = ThicknessEvidence(library)
 
     @property
     def prior(self) -> np.ndarray:
         """Probabilities before any data, (M + 1,)."""
         return np.exp(self._log_prior)
 
-    def of_thickness(self, travel_m: float, opening_m: float) -> np.ndarray:
+    def compute_thickness_log_likelihood(self, travel_m: float, opening_m: float) -> np.ndarray:
         """Log-likelihoods, (M + 1,), of contact after the jaws have closed by `travel_m` from `opening_m`."""
         return self._thickness.log_likelihood(travel_m, opening_m)
 
@@ -57,12 +57,12 @@ class Evidence:
         """Posterior probabilities, (M + 1,), given the bank's state and other independent evidence, (M + 1,)."""
         state = self._bank.state
         result = np.empty(len(self._log_prior))
-        posterior(
+        compute_posterior(
             state.mean,
             state.cov,
-            state.fit,
+            state.fit_statistics,
             state.valid,
-            state.taken[0],
+            state.samples_taken[0],
             state.surprise[0],
             self._bank.priors.mean,
             self._bank.filter_sd**2,
@@ -74,7 +74,7 @@ class Evidence:
         return result
 
 
-class Thickness:
+class ThicknessEvidence:
     """What the gap between the jaws at first contact says of the tissues of a library, and of none of them."""
 
     def __init__(self, library: TissueLibrary) -> None:
@@ -85,43 +85,49 @@ class Thickness:
 
     def log_likelihood(self, travel_m: float, opening_m: float) -> np.ndarray:
         """Of each tissue and of unknown, (M + 1,). Tissue that fills the jaws is at least as thick as they open."""
-        if travel_m < FILLED_MARGIN_M:
-            at_least = math.log(max(opening_m - FILLED_MARGIN_M, FILLED_MARGIN_M))
+        if travel_m < FILLED_JAWS_MARGIN_M:
+            at_least = math.log(max(opening_m - FILLED_JAWS_MARGIN_M, FILLED_JAWS_MARGIN_M))
             own = log_ndtr((self._log_mean - at_least) / self._sd)
         else:
-            gap = math.log(max(opening_m - travel_m, FILLED_MARGIN_M / 10))
+            gap = math.log(max(opening_m - travel_m, FILLED_JAWS_MARGIN_M / 10))
             own = -0.5 * ((gap - self._log_mean) / self._sd) ** 2 - np.log(self._sd * math.sqrt(2 * math.pi))
-        return np.logaddexp(math.log(1 - FOLDED_SHARE) + own, math.log(FOLDED_SHARE) + own[-1])
+        return np.logaddexp(math.log(1 - FOLD_PROBABILITY) + own, math.log(FOLD_PROBABILITY) + own[-1])
 
 
 @compiled
-def posterior(mean, cov, fit, valid, taken, surprise, guess, guess_var, tissue_mean, tissue_var, log_prior, result):
+def compute_posterior(
+    mean, cov, fit, valid, taken, surprise, guess, guess_var, tissue_mean, tissue_var, log_prior, result
+):
     """Write the posterior probabilities into `result`, (M + 1,); all is unknown where no filter is valid."""
     tissues = len(guess)
     result[:] = -np.inf
     for first in range(0, len(mean), tissues):
-        best = likeliest(first, first + tissues, fit, valid)
+        best = find_most_likely(first, first + tissues, fit, valid)
         if best >= 0:
             # widening by f leaves an f-th of all that was known, of the prior too
-            own, own_var = guess[best - first], guess_var[best - first] * min(fit[best, WIDENED], FLAT_VAR)
-            misfit = max(fit[best, NIS_SUM] / max(taken - 1, 1) / NIS_TOLERATED, 1.0)
-            information, vector = likelihood_of_parameters(mean[best], cov[best], own, own_var)
-            common = fit[best, LOG_LIKELIHOOD] - moved_evidence(information, vector, own, own_var)
+            own, own_var = guess[best - first], guess_var[best - first] * min(fit[best, INFLATION], UNINFORMATIVE_VAR)
+            misfit = max(fit[best, NIS_SUM] / max(taken - 1, 1) / NIS_TOLERANCE, 1.0)
+            information, vector = compute_parameter_likelihood(mean[best], cov[best], own, own_var)
+            common = fit[best, LOG_LIKELIHOOD] - compute_marginal_log_likelihood(information, vector, own, own_var)
             information /= misfit
             vector /= misfit
             for j in range(len(result)):
-                value = common + log_prior[j] + moved_evidence(information, vector, tissue_mean[j], tissue_var[j])
+                value = (
+                    common
+                    + log_prior[j]
+                    + compute_marginal_log_likelihood(information, vector, tissue_mean[j], tissue_var[j])
+                )
                 result[j] = np.logaddexp(result[j], value)
-    excess = max(surprise / SURPRISE_TOLERATED, 1.0)
-    result[-1] += 0.5 * SURPRISE_SAMPLES * (excess - 1.0 - math.log(excess))
+    excess = max(surprise / SURPRISE_TOLERANCE, 1.0)
+    result[-1] += 0.5 * SURPRISE_EFFECTIVE_SAMPLES * (excess - 1.0 - math.log(excess))
     if not np.isfinite(result.max()):
         result[:] = -np.inf
         result[-1] = 0.0
-    normalise(result)
+    normalize_log_weights(result)
 
 
 @compiled
-def likelihood_of_parameters(mean, cov, guess, prior_var):
+def compute_parameter_likelihood(mean, cov, guess, prior_var):
     """What the data alone say: information matrix (3, 3) and information vector (3,) of the log parameters.
 
     The filter's posterior divided by what is left of its prior; positive semi-definite.
@@ -137,7 +143,7 @@ def likelihood_of_parameters(mean, cov, guess, prior_var):
     learned = posterior_information.copy()
     for i in range(3):
         learned[i, i] -= 1.0 / prior_var[i]
-    if moved_evidence(learned, guess, guess, np.full(3, FLAT_VAR)) > -np.inf:
+    if compute_marginal_log_likelihood(learned, guess, guess, np.full(3, UNINFORMATIVE_VAR)) > -np.inf:
         return learned, posterior_information @ seen - guess / prior_var
     # The parameters' walk may have cost more than was learned along some direction: keep those, in units of the prior's
     # SD, in which something was, about what the filter believes.
@@ -152,7 +158,7 @@ def likelihood_of_parameters(mean, cov, guess, prior_var):
 
 
 @compiled
-def moved_evidence(information, vector, tissue_mean, tissue_var):
+def compute_marginal_log_likelihood(information, vector, tissue_mean, tissue_var):
     """log of the integral of the parameters' likelihood over a Gaussian prior, up to a constant common to all.
 
     -inf where the product of both is no density. By a Cholesky factor of the joint information, written out: LAPACK's
@@ -183,7 +189,7 @@ def moved_evidence(information, vector, tissue_mean, tissue_var):
 
 
 @compiled
-def normalise(log_weights):
+def normalize_log_weights(log_weights):
     """Logarithms of weights to probabilities that sum to 1, in place."""
     log_weights -= log_weights.max()
     np.exp(log_weights, log_weights)

@@ -16,28 +16,30 @@ from estimator.compiling import compiled
 from estimator.constants import (
     DRIFT_FLOOR_N,
     EXPONENT_LIMIT,
-    LOG_RANGE,
+    MAX_INFLATION,
+    MAX_LOG_DEVIATION,
+    MIN_RISE_N,
+    MIN_RISE_SHARE,
     NIS_DIVERGED,
+    NIS_INFLATION_THRESHOLD,
     NIS_MEMORY,
-    NIS_SURPRISING,
-    RISING_LEAST_N,
-    RISING_MEAN,
-    RISING_SHARE,
-    RISING_SPAN,
-    SURPRISE_FROM,
-    WIDENING_MOST,
+    RISE_MEAN_SAMPLES,
+    RISE_SPAN_SAMPLES,
+    SURPRISE_MIN_SAMPLES,
 )
 from estimator.model import elastic_force, step_matrices, tangent_stiffness
 
-STATES = 9
-X, V, LOG_ALPHA, LOG_BETA, LOG_DAMPING, LOG_MASS, OFFSET, DRIFT, STRAIN = range(STATES)
+STATE_COUNT = 9
+X, V, LOG_ALPHA, LOG_BETA, LOG_DAMPING, LOG_MASS, OFFSET, DRIFT, STRAIN_NOISE = range(STATE_COUNT)
 PARAMETERS = slice(LOG_ALPHA, LOG_DAMPING + 1)
-ABOUT = slice(LOG_ALPHA, LOG_MASS + 1)
-FORCE, DISPLACEMENT, BY_FORCE, BY_DISPLACEMENT, ELAPSED, RISING = range(6)  # columns of a sample as the filters take it
-LOG_LIKELIHOOD, NIS_SUM, NIS_RECENT, WIDENED = range(4)  # columns of a filter's fit
+PARAMETERS_AND_MASS = slice(LOG_ALPHA, LOG_MASS + 1)
+FORCE, DISPLACEMENT, NEWTON_PER_VOLT, METRE_PER_VOLT, ELAPSED_S, IS_RISING = range(
+    6
+)  # columns of a sample as the filters take it
+LOG_LIKELIHOOD, NIS_SUM, NIS_RECENT, INFLATION = range(4)  # columns of a filter's fit
 
 
-class Noise(NamedTuple):
+class FilterNoise(NamedTuple):
     """How far a filter trusts sensors and model."""
 
     strain_var: float  # V², enters force and displacement by newton_per_volt and metre_per_volt
@@ -52,7 +54,7 @@ class Noise(NamedTuple):
 
 
 @compiled
-def take(mean, cov, fit, about, before, sample, noise, step, rows, gain):
+def process_sample(mean, cov, fit, about, before, sample, noise, step, rows, gain):
     """Predict from the sample `before` to `sample` and correct by it, in place.
 
     Args:
@@ -65,15 +67,13 @@ def take(mean, cov, fit, about, before, sample, noise, step, rows, gain):
         step, rows, gain: scratch, (2, 4), (2, 9) and (9,).
     """
     predict(mean, cov, about, before, sample, noise, step, rows)
-    learns = noise.learns_held + sample[RISING] > 0.0
-    innovation, variance, widened = update(
-        mean, cov, sample[DISPLACEMENT], sample[BY_DISPLACEMENT], noise, learns, gain
-    )
+    learns = noise.learns_held + sample[IS_RISING] > 0.0
+    innovation, variance, widened = update(mean, cov, sample[DISPLACEMENT], sample[METRE_PER_VOLT], noise, learns, gain)
     nis = innovation * innovation / variance
     fit[LOG_LIKELIHOOD] -= 0.5 * (nis + math.log(2.0 * math.pi * variance))
     fit[NIS_SUM] += nis
     fit[NIS_RECENT] = NIS_MEMORY * fit[NIS_RECENT] + (1.0 - NIS_MEMORY) * nis
-    fit[WIDENED] *= widened
+    fit[INFLATION] *= widened
 
 
 @compiled
@@ -83,10 +83,10 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
     x, v = mean[X], mean[V]
     elastic = elastic_force(alpha, beta, x)
     stiffness = tangent_stiffness(alpha, beta, x)
-    step_matrices(mass, stiffness, damping, sample[ELAPSED], step)
+    step_matrices(mass, stiffness, damping, sample[ELAPSED_S], step)
     by_alpha, by_beta, by_damping = -elastic, -stiffness * x, -damping * v
-    held = before[FORCE] - before[BY_FORCE] * mean[STRAIN] - mean[DRIFT] - elastic + stiffness * x
-    rise = sample[FORCE] - before[FORCE] + before[BY_FORCE] * mean[STRAIN]
+    held = before[FORCE] - before[NEWTON_PER_VOLT] * mean[STRAIN_NOISE] - mean[DRIFT] - elastic + stiffness * x
+    rise = sample[FORCE] - before[FORCE] + before[NEWTON_PER_VOLT] * mean[STRAIN_NOISE]
     inertial = held - stiffness * x - damping * v
     by_mass = -inertial
     held += (
@@ -99,16 +99,16 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
     force_var = noise.force_var + noise.dynamic_share * noise.dynamic_share * (damped * damped + inertial * inertial)
     mean[X] = step[0, 0] * x + step[0, 1] * v + step[0, 2] * held + step[0, 3] * rise
     mean[V] = step[1, 0] * x + step[1, 1] * v + step[1, 2] * held + step[1, 3] * rise
-    mean[STRAIN] = 0.0
+    mean[STRAIN_NOISE] = 0.0
 
     for r in range(2):  # rows of Phi P for x and v; the noise of the sample before fades over the step
         g = step[r, 2]
-        by_strain = -before[BY_FORCE] * (g - step[r, 3])
-        for j in range(STATES):
+        by_strain = -before[NEWTON_PER_VOLT] * (g - step[r, 3])
+        for j in range(STATE_COUNT):
             rows[r, j] = (
                 step[r, 0] * cov[X, j]
                 + step[r, 1] * cov[V, j]
-                + by_strain * cov[STRAIN, j]
+                + by_strain * cov[STRAIN_NOISE, j]
                 - g * cov[DRIFT, j]
                 + g
                 * (
@@ -120,12 +120,12 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
             )
     for q in range(2):
         g = step[q, 2]
-        by_strain = -before[BY_FORCE] * (g - step[q, 3])
+        by_strain = -before[NEWTON_PER_VOLT] * (g - step[q, 3])
         for r in range(q, 2):
             value = (
                 step[q, 0] * rows[r, X]
                 + step[q, 1] * rows[r, V]
-                + by_strain * rows[r, STRAIN]
+                + by_strain * rows[r, STRAIN_NOISE]
                 - g * rows[r, DRIFT]
                 + g
                 * (
@@ -135,7 +135,7 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
                     + by_mass * rows[r, LOG_MASS]
                 )
             )
-            fresh = sample[BY_FORCE] * sample[BY_FORCE] * step[r, 3] * step[q, 3] * noise.strain_var
+            fresh = sample[NEWTON_PER_VOLT] * sample[NEWTON_PER_VOLT] * step[r, 3] * step[q, 3] * noise.strain_var
             value += fresh + step[r, 2] * g * force_var
             cov[r, q] = value
             cov[q, r] = value
@@ -143,18 +143,18 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
         for j in range(LOG_ALPHA, DRIFT + 1):
             cov[r, j] = rows[r, j]
             cov[j, r] = rows[r, j]
-    for j in range(LOG_ALPHA, STATES):
-        cov[STRAIN, j] = 0.0
-        cov[j, STRAIN] = 0.0
-    cov[STRAIN, STRAIN] = noise.strain_var
+    for j in range(LOG_ALPHA, STATE_COUNT):
+        cov[STRAIN_NOISE, j] = 0.0
+        cov[j, STRAIN_NOISE] = 0.0
+    cov[STRAIN_NOISE, STRAIN_NOISE] = noise.strain_var
     for r in range(2):
-        cov[r, STRAIN] = -sample[BY_FORCE] * step[r, 3] * noise.strain_var
-        cov[STRAIN, r] = cov[r, STRAIN]
+        cov[r, STRAIN_NOISE] = -sample[NEWTON_PER_VOLT] * step[r, 3] * noise.strain_var
+        cov[STRAIN_NOISE, r] = cov[r, STRAIN_NOISE]
     cov[LOG_ALPHA, LOG_ALPHA] += noise.walk_alpha
     cov[LOG_BETA, LOG_BETA] += noise.walk_beta
     cov[LOG_DAMPING, LOG_DAMPING] += noise.walk_damping
     cov[DRIFT, DRIFT] += (
-        noise.drift_rate * sample[ELAPSED] * (sample[FORCE] * sample[FORCE] + DRIFT_FLOOR_N * DRIFT_FLOOR_N)
+        noise.drift_rate * sample[ELAPSED_S] * (sample[FORCE] * sample[FORCE] + DRIFT_FLOOR_N * DRIFT_FLOOR_N)
     )
 
 
@@ -165,18 +165,18 @@ def update(mean, cov, displacement_m, metre_per_volt, noise, learns, gain):
     Where it does not learn, parameters and their covariance stay as they are, and all the rest is corrected (Schmidt).
     Returns the innovation, m, its variance, m², and by how much the covariance was widened before.
     """
-    innovation = displacement_m - mean[X] - mean[OFFSET] - metre_per_volt * mean[STRAIN]
-    variance = project(cov, metre_per_volt, gain) + noise.displacement_var
+    innovation = displacement_m - mean[X] - mean[OFFSET] - metre_per_volt * mean[STRAIN_NOISE]
+    variance = project_covariance(cov, metre_per_volt, gain) + noise.displacement_var
     believed, widened = variance, 1.0
-    surprise = innovation * innovation / variance / NIS_SURPRISING
+    surprise = innovation * innovation / variance / NIS_INFLATION_THRESHOLD
     if learns and surprise > 1.0:
-        widened = min(surprise, WIDENING_MOST)
-        widen(cov, widened)
-        believed = project(cov, metre_per_volt, gain) + noise.displacement_var
-    for j in range(STATES):
+        widened = min(surprise, MAX_INFLATION)
+        inflate_covariance(cov, widened)
+        believed = project_covariance(cov, metre_per_volt, gain) + noise.displacement_var
+    for j in range(STATE_COUNT):
         if learns or j < LOG_ALPHA or j > LOG_MASS:
             mean[j] += gain[j] * innovation / believed
-    for j in range(STATES):
+    for j in range(STATE_COUNT):
         share = gain[j] / believed
         for q in range(j + 1):
             if not learns and q >= LOG_ALPHA and j <= LOG_MASS:
@@ -188,36 +188,36 @@ def update(mean, cov, displacement_m, metre_per_volt, noise, learns, gain):
 
 
 @compiled
-def project(cov, metre_per_volt, gain):
+def project_covariance(cov, metre_per_volt, gain):
     """P Hᵀ into `gain` (9,); returns H P Hᵀ, m²."""
-    for j in range(STATES):
-        gain[j] = cov[j, X] + cov[j, OFFSET] + metre_per_volt * cov[j, STRAIN]
-    return gain[X] + gain[OFFSET] + metre_per_volt * gain[STRAIN]
+    for j in range(STATE_COUNT):
+        gain[j] = cov[j, X] + cov[j, OFFSET] + metre_per_volt * cov[j, STRAIN_NOISE]
+    return gain[X] + gain[OFFSET] + metre_per_volt * gain[STRAIN_NOISE]
 
 
 @compiled
-def widen(cov, factor):
+def inflate_covariance(cov, factor):
     """Be less sure of everything but the strain noise by `factor`, in place."""
     root = math.sqrt(factor)
-    for j in range(STATES):
-        for q in range(STATES):
-            cov[j, q] *= (1.0 if j == STRAIN else root) * (1.0 if q == STRAIN else root)
+    for j in range(STATE_COUNT):
+        for q in range(STATE_COUNT):
+            cov[j, q] *= (1.0 if j == STRAIN_NOISE else root) * (1.0 if q == STRAIN_NOISE else root)
 
 
 @compiled
-def is_sound(mean, cov, guess):
+def is_healthy(mean, cov, guess):
     """False once a filter has diverged: not finite, a variance negative, or a parameter run away from its guess."""
-    for j in range(STATES):
+    for j in range(STATE_COUNT):
         if not (math.isfinite(mean[j]) and cov[j, j] >= 0.0):
             return False
     for j in range(3):
-        if abs(mean[LOG_ALPHA + j] - guess[j]) > LOG_RANGE:
+        if abs(mean[LOG_ALPHA + j] - guess[j]) > MAX_LOG_DEVIATION:
             return False
     return math.exp(mean[LOG_BETA]) * mean[X] < EXPONENT_LIMIT
 
 
 @compiled
-def pass_again(mean, cov, fit, about, guess, samples, noise, step, rows, gain):
+def repeat_pass(mean, cov, fit, about, guess, samples, noise, step, rows, gain):
     """Go over all `samples` from the grasp's start, linearised about `about`; returns whether the filter stayed sound.
 
     `mean` and `cov` hold the state at the first sample; one step of Gauss and Newton's method in the parameters.
@@ -225,23 +225,23 @@ def pass_again(mean, cov, fit, about, guess, samples, noise, step, rows, gain):
     fit[:] = 1.0
     fit[LOG_LIKELIHOOD], fit[NIS_SUM] = 0.0, 0.0
     for i in range(1, len(samples)):
-        take(mean, cov, fit, about, samples[i - 1], samples[i], noise, step, rows, gain)
-        if not is_sound(mean, cov, guess):
+        process_sample(mean, cov, fit, about, samples[i - 1], samples[i], noise, step, rows, gain)
+        if not is_healthy(mean, cov, guess):
             return False
     return True
 
 
 @compiled
-def rises(history, taken, force_n):
+def is_force_rising(history, taken, force_n):
     """Whether the force has risen over the last samples by more than its noise, or the grasp has only begun."""
-    if taken <= RISING_SPAN + RISING_MEAN:
+    if taken <= RISE_SPAN_SAMPLES + RISE_MEAN_SAMPLES:
         return True
     change = force_n
-    for i in range(1, RISING_MEAN):
+    for i in range(1, RISE_MEAN_SAMPLES):
         change += history[(taken - i) % len(history), FORCE]
-    for i in range(RISING_SPAN, RISING_SPAN + RISING_MEAN):
+    for i in range(RISE_SPAN_SAMPLES, RISE_SPAN_SAMPLES + RISE_MEAN_SAMPLES):
         change -= history[(taken - i) % len(history), FORCE]
-    return change / RISING_MEAN > max(RISING_LEAST_N, RISING_SHARE * force_n)
+    return change / RISE_MEAN_SAMPLES > max(MIN_RISE_N, MIN_RISE_SHARE * force_n)
 
 
 @compiled
@@ -274,14 +274,18 @@ def advance_bank(
         surprise: how badly even the best of the last kind of filter has ever fitted lately in this grasp, (1,).
         shown_mean, shown_var: each tissue's likelier filter after each sample, (n, M, 9); NaN where all have diverged.
     """
-    step, rows, gain = np.empty((2, 4)), np.empty((2, STATES)), np.empty(STATES)
-    again_mean, again_cov, again_fit = np.empty(STATES), np.empty((STATES, STATES)), np.empty(WIDENED + 1)
-    sample = np.empty(RISING + 1)
+    step, rows, gain = np.empty((2, 4)), np.empty((2, STATE_COUNT)), np.empty(STATE_COUNT)
+    again_mean, again_cov, again_fit = (
+        np.empty(STATE_COUNT),
+        np.empty((STATE_COUNT, STATE_COUNT)),
+        np.empty(INFLATION + 1),
+    )
+    sample = np.empty(IS_RISING + 1)
     tissues = len(mean) // len(noises)
     for i in range(len(samples)):
         before = history[(taken[0] - 1) % len(history)].copy()
-        sample[:RISING] = samples[i]
-        sample[RISING] = rises(history, taken[0], sample[FORCE])
+        sample[:IS_RISING] = samples[i]
+        sample[IS_RISING] = is_force_rising(history, taken[0], sample[FORCE])
         history[taken[0] % len(history)] = sample
         taken[0] += 1
         passes = np.any(second_pass_at == taken[0])
@@ -289,15 +293,17 @@ def advance_bank(
             if not valid[k]:
                 continue
             noise = noises[k // tissues]
-            take(mean[k], cov[k], fit[k], mean[k, ABOUT], before, sample, noise, step, rows, gain)
-            valid[k] = is_sound(mean[k], cov[k], guess[k])
+            process_sample(
+                mean[k], cov[k], fit[k], mean[k, PARAMETERS_AND_MASS], before, sample, noise, step, rows, gain
+            )
+            valid[k] = is_healthy(mean[k], cov[k], guess[k])
             if passes and valid[k]:
                 again_mean[:], again_cov[:] = first_mean[k], first_cov[k]
-                if pass_again(
+                if repeat_pass(
                     again_mean,
                     again_cov,
                     again_fit,
-                    mean[k, ABOUT],
+                    mean[k, PARAMETERS_AND_MASS],
                     guess[k],
                     history[: taken[0]],
                     noise,
@@ -306,21 +312,21 @@ def advance_bank(
                     gain,
                 ):
                     mean[k], cov[k], fit[k] = again_mean, again_cov, again_fit
-        if taken[0] > SURPRISE_FROM:
-            best = likeliest(len(mean) - tissues, len(mean), fit, valid)
+        if taken[0] > SURPRISE_MIN_SAMPLES:
+            best = find_most_likely(len(mean) - tissues, len(mean), fit, valid)
             surprise[0] = max(surprise[0], fit[best, NIS_RECENT] if best >= 0 else NIS_DIVERGED)
         for tissue in range(tissues):
             best = -1
             for k in range(tissue, len(mean), tissues):
-                if is_followed(k, fit, valid) and (best < 0 or fit[k, LOG_LIKELIHOOD] > fit[best, LOG_LIKELIHOOD]):
+                if is_tracking(k, fit, valid) and (best < 0 or fit[k, LOG_LIKELIHOOD] > fit[best, LOG_LIKELIHOOD]):
                     best = k
-            for j in range(STATES):
+            for j in range(STATE_COUNT):
                 shown_mean[i, tissue, j] = mean[best, j] if best >= 0 else np.nan
                 shown_var[i, tissue, j] = cov[best, j, j] if best >= 0 else np.nan
 
 
 @compiled
-def likeliest(first, until, fit, valid):
+def find_most_likely(first, until, fit, valid):
     """The filter from `first` to before `until` that the data make likeliest; -1 where none is valid."""
     best = -1
     for k in range(first, until):
@@ -330,6 +336,6 @@ def likeliest(first, until, fit, valid):
 
 
 @compiled
-def is_followed(k, fit, valid):
+def is_tracking(k, fit, valid):
     """Whether filter k has neither diverged nor lost the data just now."""
     return valid[k] and fit[k, NIS_RECENT] < NIS_DIVERGED

@@ -4,23 +4,23 @@ import math
 
 import numpy as np
 
-SPAN_S = 0.05  # over which the rise is measured: five times what drive and tissue lag, so that a ramp fills it
+SLOPE_WINDOW_S = 0.05  # over which the rise is measured: five times what drive and tissue lag, so that a ramp fills it
 LEVEL_SAMPLES = 5  # whose mean is where the force is now
-SIGNIFICANT = 4.0  # standard deviations from which on a slope is a rise: noise alone shows one once in half an hour
-FURTHEST_S = 2.0  # what is further off is not foreseen: few grasps last so long
+SIGNIFICANCE_SD = 4.0  # standard deviations from which on a slope is a rise: noise alone shows one once in half an hour
+FORECAST_HORIZON_S = 2.0  # what is further off is not foreseen: few grasps last so long
 
 
-class Forecast:
+class ForceForecast:
     """The straight line through the last samples of a force, carried on to a limit."""
 
     def __init__(self, rate_hz: float) -> None:
-        self.samples = max(round(SPAN_S * rate_hz), LEVEL_SAMPLES)
-        at_s = (np.arange(self.samples) - 0.5 * (self.samples - 1)) / rate_hz
+        self.window_samples = max(round(SLOPE_WINDOW_S * rate_hz), LEVEL_SAMPLES)
+        at_s = (np.arange(self.window_samples) - 0.5 * (self.window_samples - 1)) / rate_hz
         self._weights = at_s / (at_s @ at_s)  # least squares: the slope is this times the forces
         self._slope_sd_per_n = 1.0 / math.sqrt(at_s @ at_s)
         self._level_age_s = 0.5 * (LEVEL_SAMPLES - 1) / rate_hz
 
-    def time_to_s(self, force_n: np.ndarray, limit_n: float, noise_sd_n: float) -> float | None:
+    def forecast_time_to_limit_s(self, force_n: np.ndarray, limit_n: float, noise_sd_n: float) -> float | None:
         """Seconds from the last sample until the force reaches the limit; 0 where it has.
 
         None where the force does not rise significantly or will not be there within two seconds, and where a value is
@@ -30,7 +30,7 @@ class Forecast:
         if level_n >= limit_n:
             return 0.0
         slope_n_per_s = float(self._weights @ force_n)
-        if not slope_n_per_s > SIGNIFICANT * noise_sd_n * self._slope_sd_per_n:  # nor where it is NaN
+        if not slope_n_per_s > SIGNIFICANCE_SD * noise_sd_n * self._slope_sd_per_n:  # nor where it is NaN
             return None
         time_s = max((limit_n - level_n) / slope_n_per_s - self._level_age_s, 0.0)
-        return time_s if time_s <= FURTHEST_S else None
+        return time_s if time_s <= FORECAST_HORIZON_S else None

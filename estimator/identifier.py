@@ -4,19 +4,19 @@ from typing import Protocol
 
 import numpy as np
 
-from config.schema import Identification, TissueLibrary, Tool
-from estimator.bank import Bank, Contact
-from estimator.constants import UNFELT_FORCE_N
-from estimator.evidence import Evidence
+from config.schema import IdentificationSettings, TissueLibrary, Tool
+from estimator.bank import ContactStart, FilterBank
+from estimator.constants import UNDETECTED_FORCE_N
+from estimator.evidence import BankEvidence
 from estimator.filter import PARAMETERS
 
 BANK_COLUMNS = ("jaw_force_n", "jaw_displacement_m", "newton_per_volt", "metre_per_volt")
 
 
-class Identifier(Protocol):
+class TissueIdentifier(Protocol):
     """Follows one grasp from contact on."""
 
-    def start(self, first: np.void, contact: Contact) -> None:
+    def start(self, first: np.void, contact: ContactStart) -> None:
         """Begin at the first sample in contact (dtype SAMPLE)."""
         ...
 
@@ -33,10 +33,10 @@ class Identifier(Protocol):
         ...
 
 
-def contact_of(first: np.void, velocity_m_per_s: float, *, sensed: bool) -> Contact:
+def build_contact_start(first: np.void, velocity_m_per_s: float, *, contact_sensed: bool) -> ContactStart:
     """How a grasp starts for the filters, from its first sample and how fast the jaws came."""
     sample = np.array([*(first[name] for name in BANK_COLUMNS), 0.0])
-    return Contact(sample) if sensed else Contact(sample, velocity_m_per_s, UNFELT_FORCE_N)
+    return ContactStart(sample) if contact_sensed else ContactStart(sample, velocity_m_per_s, UNDETECTED_FORCE_N)
 
 
 def bank_columns(samples: np.ndarray, contact_m: float, tick_before: int, dt_s: float) -> np.ndarray:
@@ -53,27 +53,27 @@ def bank_columns(samples: np.ndarray, contact_m: float, tick_before: int, dt_s: 
 class BankIdentifier:
     """Our own scheme: the bank, and the evidence drawn from it."""
 
-    def __init__(self, bank: Bank, evidence: Evidence, dt_s: float) -> None:
+    def __init__(self, bank: FilterBank, evidence: BankEvidence, dt_s: float) -> None:
         self.bank, self._evidence, self._dt_s = bank, evidence, dt_s
-        self._contact_m, self._tick = 0.0, 0
+        self._contact_m, self._last_tick = 0.0, 0
 
     @classmethod
-    def of(cls, tool: Tool, library: TissueLibrary, settings: Identification) -> "BankIdentifier":
+    def from_tool(cls, tool: Tool, library: TissueLibrary, settings: IdentificationSettings) -> "BankIdentifier":
         """For a library's tissues on a tool."""
-        bank = Bank.of(tool, library)
-        return cls(bank, Evidence(bank, library, settings), 1.0 / tool.board.sample_rate_hz)
+        bank = FilterBank.from_tool(tool, library)
+        return cls(bank, BankEvidence(bank, library, settings), 1.0 / tool.board.sample_rate_hz)
 
-    def start(self, first: np.void, contact: Contact) -> None:
-        self._contact_m, self._tick = float(first["jaw_displacement_m"]), int(first["tick"])
+    def start(self, first: np.void, contact: ContactStart) -> None:
+        self._contact_m, self._last_tick = float(first["jaw_displacement_m"]), int(first["tick"])
         self.bank.start(contact)
 
     def advance(self, samples: np.ndarray) -> None:
-        self.bank.advance(bank_columns(samples, self._contact_m, self._tick, self._dt_s))
-        self._tick = int(samples["tick"][-1])
+        self.bank.advance(bank_columns(samples, self._contact_m, self._last_tick, self._dt_s))
+        self._last_tick = int(samples["tick"][-1])
 
     def probabilities(self) -> np.ndarray:
         return self._evidence.probabilities()
 
     def log_parameters(self) -> np.ndarray:
-        best = self.bank.best()
+        best = self.bank.find_most_likely()
         return self.bank.state.mean[best, PARAMETERS].copy() if best >= 0 else np.full(3, np.nan)

@@ -6,7 +6,9 @@ from acquisition.recordings import layout
 from acquisition.recordings.rows import Column, RowLayout
 from estimator.blocks import estimate_dtype
 
-OF_THREE = {"log_sd": ("log_alpha_sd", "log_beta_sd", "log_damping_sd")}  # fields with a number for each parameter
+PARAMETER_COLUMNS = {
+    "log_sd": ("log_alpha_sd", "log_beta_sd", "log_damping_sd")
+}  # fields with a number for each parameter
 
 
 def estimate_layout(tissues: list[str]) -> RowLayout:
@@ -17,16 +19,16 @@ def estimate_layout(tissues: list[str]) -> RowLayout:
     for tissue in tissues:
         for name in dtype.names:
             if name not in common:
-                columns += [Column(each, group=tissue) for each in OF_THREE.get(name, (name,))]
+                columns += [Column(each, group=tissue) for each in PARAMETER_COLUMNS.get(name, (name,))]
     return RowLayout("Estimates", columns)
 
 
 def row_layouts(tissues: list[str]) -> dict[str, RowLayout]:
     """By topic, all rows of a recording made with a library of these tissues."""
     return {
-        layout.RAW: layout.RAW_ROWS,
-        layout.CONDITIONED: layout.CONDITIONED_ROWS,
-        layout.ESTIMATES: estimate_layout(tissues),
+        layout.RAW_TOPIC: layout.RAW_LAYOUT,
+        layout.CONDITIONED_TOPIC: layout.CONDITIONED_LAYOUT,
+        layout.ESTIMATES_TOPIC: estimate_layout(tissues),
     }
 
 
@@ -39,14 +41,14 @@ def estimate_columns(estimates: np.ndarray, tissues: list[str]) -> dict[str, np.
             columns[name] = values
             continue
         for k, tissue in enumerate(tissues):
-            if name in OF_THREE:
-                columns |= {f"{tissue}.{each}": values[:, k, i] for i, each in enumerate(OF_THREE[name])}
+            if name in PARAMETER_COLUMNS:
+                columns |= {f"{tissue}.{each}": values[:, k, i] for i, each in enumerate(PARAMETER_COLUMNS[name])}
             else:
                 columns[f"{tissue}.{name}"] = values[:, k]
     return columns
 
 
-def estimates_of(columns: dict[str, np.ndarray], tissues: list[str]) -> np.ndarray:
+def from_estimate_columns(columns: dict[str, np.ndarray], tissues: list[str]) -> np.ndarray:
     """What `estimate_columns` was given.
 
     Raises:

@@ -9,20 +9,20 @@ import numpy as np
 import zmq
 
 from acquisition import bus
-from acquisition.process import become_worker, take_realtime
+from acquisition.process import apply_realtime, initialize_worker
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.alarms import ForceAlarm
-from estimator.blocks import EstimateBlock, GraspRecord, Identification, Withdrawal, estimate_dtype
+from estimator.blocks import EstimateBlock, GraspRecord, IdentificationResult, LabelWithdrawal, estimate_dtype
 
 if TYPE_CHECKING:
-    from estimator.session import EstimationSession
+    from estimator.session import TissueEstimator
 
 REALTIME_PRIORITY = 70
-POLL_MS = 200
+POLL_INTERVAL_MS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class EstimatorSetup:
     """All that the worker needs to know."""
 
     parent_pid: int
@@ -32,62 +32,64 @@ class Setup:
     settings: Settings
 
 
-def main(setup: Setup) -> None:
+def main(setup: EstimatorSetup) -> None:
     """Run until a signal. Says when its filters are compiled and ready."""
-    stop = become_worker("estimator", setup.parent_pid)
+    stop = initialize_worker("estimator", setup.parent_pid)
     context = zmq.Context()
-    samples = bus.subscriber(context, setup.endpoints.samples)
-    publisher = bus.publisher(context, setup.endpoints.estimates)
-    limits = bus.publisher(context, setup.endpoints.limits)
+    samples = bus.open_subscriber(context, setup.endpoints.samples)
+    publisher = bus.open_publisher(context, setup.endpoints.estimates)
+    limits = bus.open_publisher(context, setup.endpoints.thresholds)
     publisher.send_multipart(bus.pack_notice("compiling"))
-    warm_up(setup)
-    granted = take_realtime(setup.settings.realtime, REALTIME_PRIORITY, place=1)
-    session = _new_session(setup)
-    counter = bus.SequenceCounter()
+    compile_filters(setup)
+    granted = apply_realtime(setup.settings.realtime, REALTIME_PRIORITY, core_index=1)
+    session = _create_estimator(setup)
+    counter = bus.SequenceTracker()
     last_ready = 0.0
     try:
-        while not stop.set:
+        while not stop.is_set:
             if time.monotonic() - last_ready > 1.0:  # repeated: a subscriber may have come late
                 granted.priority.renew()
                 publisher.send_multipart(bus.pack_notice("estimating", realtime=str(granted)))
                 last_ready = time.monotonic()
-            if not samples.poll(POLL_MS):
+            if not samples.poll(POLL_INTERVAL_MS):
                 continue
             parts = samples.recv_multipart()
-            if parts[0] != bus.SAMPLES:
+            if parts[0] != bus.SAMPLES_TOPIC:
                 continue
             block = bus.unpack_samples(parts)
-            if counter.is_out_of_turn(block):
+            if counter.is_out_of_order(block):
                 continue
-            if counter.begins_anew(block.sequence):
-                session = _new_session(setup)
-            counter.take(block.sequence, block.t_mono_ns)
+            if counter.is_restart(block.sequence):
+                session = _create_estimator(setup)
+            counter.update(block.sequence, block.t_mono_ns)
             estimate = session.process(block)
-            limits.send(bus.pack_limit(limit_of(estimate.identification)))  # first: somebody waits for it
+            limits.send(
+                bus.pack_threshold(to_threshold_update(estimate.identification))
+            )  # first: somebody waits for it
             publisher.send_multipart(pack_estimates(estimate, counter.missing))
     finally:
         context.destroy(linger=200)
 
 
-def warm_up(setup: Setup) -> None:
+def compile_filters(setup: EstimatorSetup) -> None:
     """Compile the filters, or load them from the cache, before anything depends on them."""
-    from estimator.bank import Contact  # see below
+    from estimator.bank import ContactStart  # see below
 
-    session = _new_session(setup)
-    session.bank.start(Contact(np.array([0.01, 0.0, 7.0, -0.006, 0.0])))
+    session = _create_estimator(setup)
+    session.bank.start(ContactStart(np.array([0.01, 0.0, 7.0, -0.006, 0.0])))
     session.bank.advance(np.array([[0.01, 1e-5, 7.0, -0.006, 0.001]]))
     session.evidence.probabilities()
 
 
-def _new_session(setup: Setup) -> "EstimationSession":
-    from estimator.session import EstimationSession  # with the compiler; the server, which only starts this, needs none
+def _create_estimator(setup: EstimatorSetup) -> "TissueEstimator":
+    from estimator.session import TissueEstimator  # with the compiler; the server, which only starts this, needs none
 
-    return EstimationSession(setup.tool, setup.library, setup.settings)
+    return TissueEstimator(setup.tool, setup.library, setup.settings)
 
 
-def limit_of(found: Identification) -> bus.ForceLimit:
+def to_threshold_update(found: IdentificationResult) -> bus.ThresholdUpdate:
     """What the acquisition's limiter is told."""
-    return bus.ForceLimit(found.threshold_n, found.threshold_tissue, found.tick)
+    return bus.ThresholdUpdate(found.threshold_n, found.threshold_tissue, found.tick)
 
 
 def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:
@@ -97,12 +99,12 @@ def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:
         "published_ns": time.monotonic_ns(),
         "lost_samples": block.lost_samples,
         "missing_blocks": missing_blocks,
-        "identification": bus.fields_of(block.identification),
+        "identification": bus.shallow_asdict(block.identification),
         "ended": [asdict(grasp) for grasp in block.ended],
         "alarms": [asdict(alarm) for alarm in block.alarms],
         "withdrawn": [asdict(withdrawal) for withdrawal in block.withdrawn],
     }
-    return [bus.ESTIMATES, json.dumps(header).encode(), block.estimates.tobytes()]
+    return [bus.ESTIMATES_TOPIC, json.dumps(header).encode(), block.estimates.tobytes()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +123,9 @@ def unpack_estimates(parts: list[bytes], tissues: int) -> ReceivedEstimates:
         header["t_mono_ns"],
         header["lost_samples"],
         np.frombuffer(parts[2], estimate_dtype(tissues)),
-        Identification(**header["identification"]),
+        IdentificationResult(**header["identification"]),
         tuple(GraspRecord(**grasp) for grasp in header["ended"]),
         tuple(ForceAlarm(**alarm) for alarm in header["alarms"]),
-        tuple(Withdrawal(**withdrawal) for withdrawal in header["withdrawn"]),
+        tuple(LabelWithdrawal(**withdrawal) for withdrawal in header["withdrawn"]),
     )
     return ReceivedEstimates(block, header["published_ns"], header["missing_blocks"])

@@ -64,16 +64,16 @@ class Graspwatch:
         as this computer does); `by` is a name for the journal where the service knows nobody by a token. A service on
         this computer is asked directly, others through the proxy that `HTTPS_PROXY` and the like name."""
         self._by, self._timeout_s = by, timeout_s
-        self._trust = trust or ssl.create_default_context()
+        self._ssl_context = trust or ssl.create_default_context()
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._http = httpx.AsyncClient(
             base_url=url,
             headers=self._headers,
-            verify=self._trust,
+            verify=self._ssl_context,
             timeout=timeout_s,
             trust_env=not is_this_computer(httpx.URL(url).host),  # its proxy variables are for other computers
         )
-        self._asking = Asking(self._http)
+        self._rest_client = Asking(self._http)
 
     async def __aenter__(self) -> Self:
         await self._http.__aenter__()
@@ -88,51 +88,51 @@ class Graspwatch:
 
     async def health(self) -> Health:
         """Whether it is ready; also while it is not."""
-        return await self._asking.ask(Health, "GET", "/api/health", fine=(HTTPStatus.SERVICE_UNAVAILABLE,))
+        return await self._rest_client.ask(Health, "GET", "/api/health", fine=(HTTPStatus.SERVICE_UNAVAILABLE,))
 
     async def system(self) -> System:
         """Versions, machine, and the configuration in use."""
-        return await self._asking.ask(System, "GET", "/api/system")
+        return await self._rest_client.ask(System, "GET", "/api/system")
 
     async def session(self) -> SessionInfo:
         """Who one is to the service, and what one may do."""
-        return await self._asking.ask(SessionInfo, "GET", "/api/session")
+        return await self._rest_client.ask(SessionInfo, "GET", "/api/session")
 
     async def tool(self) -> ToolInfo:
-        return await self._asking.ask(ToolInfo, "GET", "/api/tool")
+        return await self._rest_client.ask(ToolInfo, "GET", "/api/tool")
 
     async def tissues(self) -> LibraryInfo:
         """The tissue library in use, with injury thresholds in N."""
-        return await self._asking.ask(LibraryInfo, "GET", "/api/tissues")
+        return await self._rest_client.ask(LibraryInfo, "GET", "/api/tissues")
 
     async def protocols(self) -> list[ProtocolInfo]:
-        return await self._asking.ask(list[ProtocolInfo], "GET", "/api/protocols")
+        return await self._rest_client.ask(list[ProtocolInfo], "GET", "/api/protocols")
 
     async def alarms(self) -> list[Alarm]:
         """Those whose cause is there, and those that wait for somebody to acknowledge them."""
-        return await self._asking.ask(list[Alarm], "GET", "/api/alarms")
+        return await self._rest_client.ask(list[Alarm], "GET", "/api/alarms")
 
     async def journal(self, most: int = 200) -> list[JournalEntry]:
         """What happened, newest first."""
-        return await self._asking.ask(list[JournalEntry], "GET", "/api/journal", params={"most": most})
+        return await self._rest_client.ask(list[JournalEntry], "GET", "/api/journal", params={"most": most})
 
     async def calibration(self) -> Calibration:
-        return await self._asking.ask(Calibration, "GET", "/api/calibration")
+        return await self._rest_client.ask(Calibration, "GET", "/api/calibration")
 
     async def metrics(self) -> str:
         """As Prometheus reads them."""
-        return (await self._asking.request("GET", "/metrics")).text
+        return (await self._rest_client.request("GET", "/metrics")).text
 
     # --- grasping ----------------------------------------------------------------------------------------------------
 
     async def start(self, protocol: str, *, cycles: int | None = None, tissue: str | None = None) -> Run:
         """Start a protocol; a tool that is not armed is armed first. `tissue` is for the simulated grasper."""
         wanted = RunRequest(protocol=protocol, cycles=cycles, tissue=tissue, by=self._by)
-        return await self._asking.ask(Run, "POST", "/api/runs", wanted)
+        return await self._rest_client.ask(Run, "POST", "/api/runs", wanted)
 
     async def stop(self) -> StopAnswer:
         """Motor to zero at once, whatever runs."""
-        return await self._asking.ask(StopAnswer, "POST", "/api/stop", StopRequest(by=self._by))
+        return await self._rest_client.ask(StopAnswer, "POST", "/api/stop", StopRequest(by=self._by))
 
     @contextlib.asynccontextmanager
     async def running(
@@ -143,7 +143,7 @@ class Graspwatch:
         try:
             yield run
         finally:
-            await self._asking.ask(StopAnswer, "POST", f"/api/runs/{run.id}/stop", StopRequest(by=self._by))
+            await self._rest_client.ask(StopAnswer, "POST", f"/api/runs/{run.id}/stop", StopRequest(by=self._by))
 
     async def finished(self, run: Run | str, timeout_s: float | None = None) -> Run:
         """Wait until a run is over; how it ended stands in its `state`.
@@ -159,40 +159,40 @@ class Graspwatch:
 
     async def runs(self, **question: Any) -> list[Run]:
         """Of this service and earlier ones, oldest first; `question` as in `GET /api/runs`."""
-        return await self._asking.ask(list[Run], "GET", "/api/runs", params=question)
+        return await self._rest_client.ask(list[Run], "GET", "/api/runs", params=question)
 
     async def run(self, run_id: str) -> Run:
-        return await self._asking.ask(Run, "GET", f"/api/runs/{run_id}")
+        return await self._rest_client.ask(Run, "GET", f"/api/runs/{run_id}")
 
     async def grasps(self, run: Run | str) -> list[Grasp]:
         """The finished grasps of a run: label, probability, forces in N, times in s."""
         run_id = run if isinstance(run, str) else run.id
-        return await self._asking.ask(list[Grasp], "GET", f"/api/runs/{run_id}/grasps")
+        return await self._rest_client.ask(list[Grasp], "GET", f"/api/runs/{run_id}/grasps")
 
     async def arm(self) -> SafetyReport:
         """Tare the tool and test it at rest; a start does so by itself unless the settings forbid it."""
-        return await self._asking.ask(SafetyReport, "POST", "/api/arm", ArmRequest(by=self._by))
+        return await self._rest_client.ask(SafetyReport, "POST", "/api/arm", ArmRequest(by=self._by))
 
     async def disarm(self) -> SafetyReport:
-        return await self._asking.ask(SafetyReport, "POST", "/api/disarm", ArmRequest(by=self._by))
+        return await self._rest_client.ask(SafetyReport, "POST", "/api/disarm", ArmRequest(by=self._by))
 
     async def acknowledge(self, alarm: Alarm) -> Alarm:
         """Somebody has seen it; refused if it became worse since."""
         seen = AcknowledgeRequest(by=self._by, priority=alarm.priority)
-        return await self._asking.ask(Alarm, "POST", f"/api/alarms/{alarm.id}/acknowledge", seen)
+        return await self._rest_client.ask(Alarm, "POST", f"/api/alarms/{alarm.id}/acknowledge", seen)
 
     async def take_control(self, *, over: bool = False) -> ControlInfo:
         """Be the only one who may start; `over` takes it from somebody else, which is told and logged."""
-        return await self._asking.ask(ControlInfo, "POST", "/api/control", ControlRequest(take_over=over))
+        return await self._rest_client.ask(ControlInfo, "POST", "/api/control", ControlRequest(take_over=over))
 
     async def give_back_control(self) -> ControlInfo:
-        return await self._asking.ask(ControlInfo, "DELETE", "/api/control")
+        return await self._rest_client.ask(ControlInfo, "DELETE", "/api/control")
 
     # --- recordings --------------------------------------------------------------------------------------------------
 
     async def recordings(self, **question: Any) -> Recordings:
         """What is in the recordings folder; `question` as in `GET /api/recordings`."""
-        return await self._asking.ask(Recordings, "GET", "/api/recordings", params=question)
+        return await self._rest_client.ask(Recordings, "GET", "/api/recordings", params=question)
 
     async def download(self, recording: str, into: Path) -> Path:
         """Save a recording as a file of its name in the folder `into`; one that is there is not overwritten.
@@ -203,7 +203,7 @@ class Graspwatch:
         path = into / recording
         with path.open("xb") as file:
             try:
-                async for part in self._asking.parts(f"/api/recordings/{recording}/file"):
+                async for part in self._rest_client.parts(f"/api/recordings/{recording}/file"):
                     file.write(part)
             except ClientError:
                 path.unlink()
@@ -232,7 +232,7 @@ class Graspwatch:
         Raises:
             ConnectionLostError: the service was ended, or the connection broke.
         """
-        stream = messages(self._http.base_url, self._headers, self._trust, self._timeout_s, with_frames=frames)
+        stream = messages(self._http.base_url, self._headers, self._ssl_context, self._timeout_s, with_frames=frames)
         async with contextlib.aclosing(stream) as told:
             async for message in told:
                 yield message

@@ -54,8 +54,8 @@ class Frame:
         Raises:
             KeyError: there is no such channel.
         """
-        return self.columns[self._places[channel]]
+        return self.columns[self._column_indices[channel]]
 
     @cached_property
-    def _places(self) -> dict[str | tuple[str, str], int]:
+    def _column_indices(self) -> dict[str | tuple[str, str], int]:
         return {(each.name, each.tissue) if each.tissue else each.name: i for i, each in enumerate(self.channels)}

@@ -28,11 +28,11 @@ async def messages(
         RefusedError: the service says why not.
     """
     hello: Hello | None = None
-    async with _connected(url, headers, trust, timeout_s) as socket:
+    async with _connect(url, headers, trust, timeout_s) as socket:
         try:
             async for received in socket:
                 if isinstance(received, str):
-                    message = _message(received, url)
+                    message = _parse_message(received, url)
                     hello = message if isinstance(message, Hello) else hello
                     yield message
                 elif with_frames and hello:  # frames that nobody answers stop coming
@@ -45,7 +45,7 @@ async def messages(
 
 
 @contextlib.asynccontextmanager
-async def _connected(
+async def _connect(
     url: httpx.URL, headers: Mapping[str, str], trust: ssl.SSLContext, timeout_s: float
 ) -> AsyncIterator[ClientConnection]:
     secure = url.scheme == "https"
@@ -69,7 +69,7 @@ async def _connected(
         await socket.close()
 
 
-def _message(text: str, url: httpx.URL) -> BaseModel:
+def _parse_message(text: str, url: httpx.URL) -> BaseModel:
     try:
         message = MESSAGE.validate_json(text)
     except ValidationError as error:

@@ -9,8 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from acquisition.process import RealtimePriority, calm_garbage_collector
-from acquisition.simulation.board import Output, RealClock, SimulatedBoard
+from acquisition.process import RealtimePriority, freeze_garbage_collector
+from acquisition.simulation.board import OutputChange, RealClock, SimulatedBoard
 from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import serve_tcp
@@ -38,17 +38,17 @@ def _serve(tissue: str, seed: int, line: Connection) -> None:
     sensors = FaultySensors(grasper, tool)
     board = SimulatedBoard(tool, sensors, RealClock())
     server, port = serve_tcp(board)
-    RealtimePriority(True, REALTIME_PRIORITY, BOARD_STRETCH_US, last_resort_s=None)
-    calm_garbage_collector()
+    RealtimePriority(True, REALTIME_PRIORITY, BOARD_STRETCH_US, hard_limit_s=None)
+    freeze_garbage_collector()
     answers: dict[str, Callable[..., Any]] = {
         "output_v": lambda: board.output_v,
-        "last_output": lambda: board.outputs[-1] if board.outputs else Output(0, 0, 0.0),
+        "last_output": lambda: board.output_changes[-1] if board.output_changes else OutputChange(0, 0, 0.0),
         "peak_force_n": lambda: grasper.peak_n,
-        "break": sensors.break_now,
-        "mend": sensors.mend,
-        "be_mute": board.be_mute,
-        "hold_samples": board.hold_samples,
-        "cut_sample_clock": board.cut_sample_clock,
+        "break": sensors.inject_fault,
+        "mend": sensors.clear_fault,
+        "be_mute": board.disconnect,
+        "hold_samples": board.delay_samples,
+        "cut_sample_clock": board.stop_sample_clock,
         "fail_next_read": board.fail_next_read,
     }
     line.send(port)

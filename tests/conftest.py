@@ -10,7 +10,7 @@ import pytest
 from reactions import Reactions
 
 from config.load import load_library, load_protocol, load_settings, load_tool
-from config.schema import Protocol, Settings, TissueLibrary, Tool
+from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 
 CHECKOUT = Path(__file__).parents[1]
 
@@ -73,7 +73,7 @@ def settings() -> Settings:
 
 
 @pytest.fixture(scope="session")
-def protocol() -> Callable[[str], Protocol]:
+def protocol() -> Callable[[str], GraspProtocol]:
     return load_protocol
 
 

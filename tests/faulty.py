@@ -5,19 +5,19 @@ from enum import StrEnum
 
 import numpy as np
 
-from acquisition.control import Acquisition, RunEnded
-from acquisition.limiter import HoldBack
-from acquisition.nidaq import NidaqTool
+from acquisition.control import AcquisitionController, EndedRun
+from acquisition.limiter import ForceLimiter
+from acquisition.nidaq import NidaqSource
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.faults import FaultySensors
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.simulation.service import in_process_options
+from acquisition.simulation.service import create_in_process_options
 from config.errors import ToolError
 from config.load import load_library, load_protocol, load_settings, load_tool
 from estimator.blocks import GraspRecord
-from estimator.session import EstimationSession
-from estimator.worker import limit_of
+from estimator.session import TissueEstimator
+from estimator.worker import to_threshold_update
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
 PROTOCOL = load_protocol("trapezoid_2hz")
@@ -57,30 +57,30 @@ class Bench:
     grasps: list[GraspRecord] = field(default_factory=list)
     labels: list[str] = field(default_factory=list)
     limits_n: list[float] = field(default_factory=list)
-    ended: list[RunEnded] = field(default_factory=list)
+    ended: list[EndedRun] = field(default_factory=list)
     error: ToolError | None = None
 
     def __post_init__(self) -> None:
         grasper = SimulatedGrasper(TOOL, LIBRARY, self.tissue, self.seed)
         self.sensors = FaultySensors(grasper, TOOL, self.sensor_seed)
         self.board = SimulatedBoard(TOOL, self.sensors, VirtualClock())
-        self.source = NidaqTool(TOOL, in_process_options(self.board), self.board.clock.now_ns)
-        hold_back = HoldBack(TOOL, LIBRARY, SETTINGS.limiter)
-        self.acquisition = Acquisition(self.source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
-        self.session = EstimationSession(TOOL, LIBRARY, SETTINGS)
+        self.source = NidaqSource(TOOL, create_in_process_options(self.board), self.board.clock.now_ns)
+        hold_back = ForceLimiter(TOOL, LIBRARY, SETTINGS.limiter)
+        self.acquisition = AcquisitionController(self.source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
+        self.session = TissueEstimator(TOOL, LIBRARY, SETTINGS)
 
     def play(self, until: int | None = None) -> "Bench":
         """Go on until that many samples were taken, or the run's end, or the board's."""
         if not self.acquisition.running and not self.samples:
             self.source.__enter__()
             self.acquisition.start("run", PROTOCOL, self.cycles)
-        while self.acquisition.running and not (until and self.sensors.samples >= until):
+        while self.acquisition.running and not (until and self.sensors.sample_count >= until):
             try:
                 self._turn()
             except ToolError as error:
                 self.error = error
                 break
-        self.ended += self.acquisition.take_ended()
+        self.ended += self.acquisition.pop_ended_runs()
         return self
 
     def rest(self, blocks: int) -> "Bench":
@@ -90,11 +90,11 @@ class Bench:
         return self
 
     def _turn(self) -> None:
-        block = self.acquisition.turn()
+        block = self.acquisition.process_block()
         self.samples.append(block.samples)
         estimate = self.session.process(block)
-        limit = limit_of(estimate.identification)
-        self.acquisition.allow(limit.threshold_n, limit.tick)
+        limit = to_threshold_update(estimate.identification)
+        self.acquisition.set_threshold(limit.threshold_n, limit.tick)
         self.labels.append(estimate.identification.label)
         self.limits_n.append(limit.threshold_n)
         self.grasps += estimate.ended
@@ -103,4 +103,4 @@ class Bench:
     def zero_at(self) -> int:
         """The sample from which on the motor command has been zero."""
         assert self.board.output_v == 0.0
-        return self.board.outputs[-1].sample if self.board.outputs else 0
+        return self.board.output_changes[-1].sample_index if self.board.output_changes else 0

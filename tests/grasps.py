@@ -5,14 +5,14 @@ from itertools import pairwise
 import numpy as np
 
 from acquisition.blocks import SampleBlock
-from acquisition.control import Acquisition
+from acquisition.control import AcquisitionController
 from acquisition.safety import Safety
 from acquisition.simulation.tissue import Specimen
 from acquisition.tools import open_tool
-from estimator.bank import Contact
+from estimator.bank import ContactStart
 from estimator.blocks import EstimateBlock, GraspRecord
-from estimator.identifier import bank_columns, contact_of
-from estimator.session import EstimationSession
+from estimator.identifier import bank_columns, build_contact_start
+from estimator.session import TissueEstimator
 
 
 def conditioned(tool, library, settings, protocol, tissue, seed=1, cycles=1) -> tuple[np.ndarray, Specimen]:
@@ -20,18 +20,18 @@ def conditioned(tool, library, settings, protocol, tissue, seed=1, cycles=1) -> 
     source, grasper = open_tool(tool, library, tissue, seed, virtual=True)
     blocks = []
     with source:
-        acquisition = Acquisition(source, tool, settings.conditioning, safety=Safety.ARMED)
+        acquisition = AcquisitionController(source, tool, settings.conditioning, safety=Safety.ARMED)
         acquisition.start("test", protocol, cycles)
-        while not acquisition.take_ended():
-            blocks.append(acquisition.turn().samples)
+        while not acquisition.pop_ended_runs():
+            blocks.append(acquisition.process_block().samples)
     return np.concatenate(blocks), grasper.specimen
 
 
-def signals(samples: np.ndarray, *, sensed: bool = True) -> tuple[Contact, np.ndarray]:
+def signals(samples: np.ndarray, *, sensed: bool = True) -> tuple[ContactStart, np.ndarray]:
     """What the bank takes of one grasp: its contact, and the samples after it, (n, 5)."""
     held = samples[samples["contact_tick"] >= 0]
     approach_m_per_s = 0.0 if sensed else 0.03
-    contact = contact_of(held[0], approach_m_per_s, sensed=sensed)
+    contact = build_contact_start(held[0], approach_m_per_s, contact_sensed=sensed)
     return contact, bank_columns(held[1:], held["jaw_displacement_m"][0], int(held["tick"][0]), 1e-3)
 
 
@@ -41,7 +41,7 @@ def by(samples: np.ndarray, size: int) -> list[int]:
 
 
 def processed(
-    session: EstimationSession, samples: np.ndarray, cuts: list[int]
+    session: TissueEstimator, samples: np.ndarray, cuts: list[int]
 ) -> tuple[list[EstimateBlock], list[GraspRecord]]:
     """What a session answers to samples that are cut into blocks, and the records of all grasps."""
     blocks, last_tick = [], int(samples["tick"][0]) - 1

@@ -5,24 +5,26 @@ from pathlib import Path
 
 import numpy as np
 
-from app.learn.gather import gather
+from app.learn.gather import load_training_set
 from config.schema import Settings, TissueLibrary, Tool
-from estimator.learning.fit import fit
-from estimator.learning.grasps import Recorded, curves_of, usual_peak_v
+from estimator.learning.fit import fit_library
+from estimator.learning.grasps import LabeledRecording, estimate_usual_peak_v, extract_loading_curves
 
 
-def gathered(files: dict[str, list[Path]], tool: Tool, base: TissueLibrary, settings: Settings) -> list[Recorded]:
+def gathered(
+    files: dict[str, list[Path]], tool: Tool, base: TissueLibrary, settings: Settings
+) -> list[LabeledRecording]:
     """The recordings of these files."""
-    return gather(files, tool, base, settings, 2, lambda _: None).recordings
+    return load_training_set(files, tool, base, settings, 2, lambda _: None).recordings
 
 
-def learner(tool: Tool, base: TissueLibrary) -> Callable[[Sequence[Recorded]], TissueLibrary]:
+def learner(tool: Tool, base: TissueLibrary) -> Callable[[Sequence[LabeledRecording]], TissueLibrary]:
     """What makes a library of recordings."""
 
-    def learn(recordings: Sequence[Recorded]) -> TissueLibrary:
-        peak_v = usual_peak_v(list(recordings))
-        curves = [curves_of(each, tool, peak_v) for each in recordings]
-        return fit(curves, tool, base, "porcine", peak_v, name="learned", date="2026-01-01")
+    def learn(recordings: Sequence[LabeledRecording]) -> TissueLibrary:
+        peak_v = estimate_usual_peak_v(list(recordings))
+        curves = [extract_loading_curves(each, tool, peak_v) for each in recordings]
+        return fit_library(curves, tool, base, "porcine", peak_v, name="learned", date="2026-01-01")
 
     return learn
 
@@ -39,13 +41,13 @@ def pressed(
 ) -> np.ndarray:
     """A grasp by hand: jaws travel at a steady pace and are shut after `gap_deg`, while tissue of a `stiffness`
     (V at 10 deg before) resists as an exponential; dtype SAMPLE."""
-    from acquisition.blocks import SAMPLE
+    from acquisition.blocks import SAMPLE_DTYPE
 
     travel = np.concatenate([np.linspace(0, gap_deg, 300), np.full(200, gap_deg)])
     tissue_v = stiffness * np.exp(-(gap_deg - travel) / 15.0 + 10 / 15)
     shut = np.concatenate([np.zeros(300), np.linspace(0, 1, 100), np.ones(100)])
     volt = (1 - shut) * tissue_v + shut * 2.5 + np.random.default_rng(seed).normal(0, noise_v, 500)
-    samples = np.zeros(500, SAMPLE)
+    samples = np.zeros(500, SAMPLE_DTYPE)
     samples["tick"] = np.arange(500)
     samples["strain_v"] = rest_v + volt
     samples["encoder_deg"] = offset_deg + travel + stretch * volt

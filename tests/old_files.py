@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from acquisition.recordings import layout
 from acquisition.recordings.rows import RowLayout
 
-RAW_BEFORE = RowLayout("Raw", [column for column in layout.RAW_ROWS.columns if column.name != layout.LIMIT])
+RAW_BEFORE = RowLayout("Raw", [column for column in layout.RAW_LAYOUT.columns if column.name != layout.LIMIT_COLUMN])
 
 
 def without_limit(
@@ -28,19 +28,19 @@ def without_limit(
             writer.add_metadata(record.name, record.metadata)
         for each in reader.iter_attachments():
             data = each.data
-            if each.name == layout.TOOL:
+            if each.name == layout.TOOL_ATTACHMENT:
                 tool = json.loads(data)
                 change_tool(tool)
                 data = json.dumps(tool).encode()
             writer.add_attachment(each.log_time, each.create_time, each.name, each.media_type, data)
         channels: dict[str, int] = {}
         for schema, channel, message in reader.iter_messages(log_time_order=False):
-            is_raw = channel.topic == layout.RAW
+            is_raw = channel.topic == layout.RAW_TOPIC
             if channel.topic not in channels:
                 definition = RAW_BEFORE.descriptor_set if is_raw else schema.data
                 of = writer.register_schema(schema.name, schema.encoding, definition)
                 channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, of)
-            data = RAW_BEFORE.encode(layout.RAW_ROWS.decode(message.data)) if is_raw else message.data
+            data = RAW_BEFORE.encode(layout.RAW_LAYOUT.decode(message.data)) if is_raw else message.data
             writer.add_message(channels[channel.topic], message.log_time, data, message.publish_time, message.sequence)
         writer.finish()
     return target

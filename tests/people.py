@@ -12,7 +12,7 @@ NAMES = {Role.VIEWER: "Vera", Role.OPERATOR: "Otto", Role.ADMIN: "Ada"}
 
 def give_tokens(data: Path) -> dict[Role, str]:
     """One for each role."""
-    return {role: tokens.add(data, name, role) for role, name in NAMES.items()}
+    return {role: tokens.add_token(data, name, role) for role, name in NAMES.items()}
 
 
 def bearer(token: str) -> dict[str, str]:

@@ -4,15 +4,15 @@ import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from app.store.rebuild import Reader
-from app.store.taking import Indexed
+from app.store.rebuild import RecordingReader
+from app.store.taking import IndexedMessage
 from app.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Run
 from config.errors import RecordingError
 
 KINDS = {kind.__name__: kind for kind in (Alarm, GraspEnded, JournalEntry, Run)}
 
 
-def write_recording(data: Path, record: FileRecord, messages: Iterable[Indexed]) -> Path:
+def write_recording(data: Path, record: FileRecord, messages: Iterable[IndexedMessage]) -> Path:
     path = data / "recordings" / record.name
     path.parent.mkdir(exist_ok=True)
     lines = [json.dumps([type(message).__name__, message.model_dump_json()]) for message in messages]
@@ -20,7 +20,7 @@ def write_recording(data: Path, record: FileRecord, messages: Iterable[Indexed])
     return path
 
 
-def recorded_messages(path: Path) -> Iterator[tuple[str | None, Indexed]]:
+def recorded_messages(path: Path) -> Iterator[tuple[str | None, IndexedMessage]]:
     head, *lines = path.read_text().splitlines()
     run_id = FileRecord.model_validate_json(head).run_id
     for number, line in enumerate(lines, 2):
@@ -35,4 +35,4 @@ def recorded_file(path: Path) -> FileRecord:
     return FileRecord.model_validate_json(path.read_text().splitlines()[0])
 
 
-READERS = (Reader(".rec", recorded_messages, recorded_file),)
+READERS = (RecordingReader(".rec", recorded_messages, recorded_file),)

@@ -5,9 +5,9 @@ from typing import Any
 
 from simulation import simulate_raw
 
-from acquisition.pipeline import Pipeline
-from app.report.statistics import Observation, Told
-from app.report.story import Story, Storyteller
+from acquisition.pipeline import ConditioningPipeline
+from app.report.statistics import Observation, TruthSource
+from app.report.story import AnalyzedRecording, RecordingAnalyzer
 from config.load import load_library, load_settings, load_tool
 from estimator.blocks import GraspRecord
 
@@ -40,7 +40,7 @@ def observed(
     grasp: GraspRecord,
     *,
     truth: str | None = None,
-    told: Told = Told.VERDICT,
+    told: TruthSource = TruthSource.VERDICT,
     source: str = "a.lvm",
     errors: tuple[float, float] | None = (-0.1, 0.1),
 ) -> Observation:
@@ -48,12 +48,12 @@ def observed(
 
 
 @lru_cache
-def simulated_story(tissue: str, cycles: int = 3, protocol: str = "trapezoid_2hz", seed: int = 1) -> Story:
+def simulated_story(tissue: str, cycles: int = 3, protocol: str = "trapezoid_2hz", seed: int = 1) -> AnalyzedRecording:
     """A run of the simulated grasper as a story."""
     tool, settings = load_tool("simulated"), load_settings()
-    blocks, pipeline = simulate_raw(tissue, protocol, seed, cycles), Pipeline(tool, settings.conditioning)
+    blocks, pipeline = simulate_raw(tissue, protocol, seed, cycles), ConditioningPipeline(tool, settings.conditioning)
     samples = sum(len(block) for block in blocks)
-    teller = Storyteller(tissue, tool, load_library("porcine"), settings, samples)
+    teller = RecordingAnalyzer(tissue, tool, load_library("porcine"), settings, samples)
     for block in blocks:
-        teller.take(pipeline.process(block))
-    return teller.end(tissue=tissue)
+        teller.process(pipeline.process(block))
+    return teller.finish(tissue=tissue)

@@ -11,14 +11,18 @@ from acquisition.protocol import ProtocolPlayer
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.source import RawBlock
 from config.load import load_library, load_protocol, load_tool
-from config.schema import Protocol, Tool
+from config.schema import GraspProtocol, Tool
 
 SIGNALS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
 LVM_COLUMNS = ("Dev1/ai0", "Dev1/ai2", "Dev1/ai3", "Dev1/ai1", "Untitled")
 
 
 def simulate_raw(
-    tissue: str, protocol: str | Protocol = "trapezoid_2hz", seed: int = 0, cycles: int = 1, tool: Tool | None = None
+    tissue: str,
+    protocol: str | GraspProtocol = "trapezoid_2hz",
+    seed: int = 0,
+    cycles: int = 1,
+    tool: Tool | None = None,
 ) -> list[RawBlock]:
     """Blocks that the tool gives while a protocol is played on specimens of `tissue`, the last rest included."""
     tool = tool or load_tool("simulated")
@@ -26,7 +30,7 @@ def simulate_raw(
     player = ProtocolPlayer(played, tool, cycles)
     commands = []
     while not player.done:
-        commands += [player.advance(tool.board.block_samples)] * tool.board.block_samples
+        commands += [player.next_command(tool.board.block_samples)] * tool.board.block_samples
     grasper = SimulatedGrasper(tool, load_library("porcine"), tissue, seed)
     return cut(drive(grasper, commands), range(0, len(commands), tool.board.block_samples))
 

@@ -36,7 +36,7 @@ from boards import ServedBoard
 from sabotage import SABOTEUR, SIGNALS
 from service import Service, until
 
-from acquisition.recordings.container import Container
+from acquisition.recordings.container import McapFile
 from acquisition.simulation.faults import SensorFault
 from app.record.reading import read_run
 from config.errors import RecordingError
@@ -257,7 +257,7 @@ class Soak:
 
     def _judge_recordings(self, service: Service) -> None:
         folder = service.data / "recordings"
-        until(lambda: all(Container(path).complete for path in folder.glob("*.mcap")), CLOSED_S)
+        until(lambda: all(McapFile(path).complete for path in folder.glob("*.mcap")), CLOSED_S)
         for path in sorted(folder.glob("*.mcap")):
             try:
                 found = read_run(path)

@@ -8,42 +8,42 @@ from enum import StrEnum
 import numpy as np
 
 from acquisition.contact import COMMAND_ON_V
-from acquisition.nidaq import PATIENCE_S, BoardFacts
-from acquisition.selftest import STILL_DEG, sound_noise_v
-from config.schema import CALIBRATED, Tool
+from acquisition.nidaq import READ_TIMEOUT_MARGIN_S, BoardInfo
+from acquisition.selftest import MAX_REST_MOTION_DEG, compute_noise_range_v
+from config.schema import CALIBRATION_COMMANDS, Tool
 
-RATE_SHARE = 1e-3  # crystals are a hundred times better; a clock of another source is not
-LATE_MS = 1e3 * PATIENCE_S
-RAIL_SHARE = 0.99
-NEVER_V = 0.02  # a line that stays within this of zero has nothing on it
+RATE_TOLERANCE = 1e-3  # crystals are a hundred times better; a clock of another source is not
+MAX_LATENESS_MS = 1e3 * READ_TIMEOUT_MARGIN_S
+SATURATION_SHARE = 0.99
+UNCONNECTED_V = 0.02  # a line that stays within this of zero has nothing on it
 MAINS_HZ = (50.0, 60.0)
 MAINS_SHARE = 0.5  # of the variance, within a bin or two: an input that nothing drives is an aerial
-GAIN_SHARE = 0.02
-OFFSET_V = 0.01
-DELAY_MS = 20.0
-TURN_LEAST_DEG = 5.0  # that the encoder turns while empty jaws close
-SCALE_SHARE = 0.1
-SHUT_LEAST_V = 0.03  # that the strain has to change for the encoder's scale to be judged
+READBACK_GAIN_TOLERANCE = 0.02
+READBACK_OFFSET_TOLERANCE_V = 0.01
+MAX_ROUND_TRIP_MS = 20.0
+MIN_TURN_DEG = 5.0  # that the encoder turns while empty jaws close
+SCALE_TOLERANCE = 0.1
+MIN_STRAIN_CHANGE_V = 0.03  # that the strain has to change for the encoder's scale to be judged
 
 
-class Outcome(StrEnum):
+class CheckOutcome(StrEnum):
     PASS = "pass"
     FAIL = "fail"
     NOT_DONE = "not done"
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckResult:
     """What came of one check; a failure's text says what to do."""
 
     check: str
-    outcome: Outcome
+    outcome: CheckOutcome
     text: str
     figures: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
-class Signals:
+class RawSignals:
     """Raw signals of a while, each of shape (n,); V and degrees."""
 
     strain_v: np.ndarray
@@ -52,19 +52,19 @@ class Signals:
     encoder_deg: np.ndarray
 
 
-def product(board: BoardFacts, tool: Tool) -> Finding:
+def check_product(board: BoardInfo, tool: Tool) -> CheckResult:
     """Whether the board is the one that the file was written for."""
     check, wanted = "board", tool.board.product
     if board.product == wanted:
-        return Finding(check, Outcome.PASS, f"{tool.board.device} is a {board.product}")
+        return CheckResult(check, CheckOutcome.PASS, f"{tool.board.device} is a {board.product}")
     text = (
         f"{tool.board.device} is a {board.product}, the tool file is for a {wanted}: choose the other in `device` "
         "under [board], or see that channels and ranges fit this one and correct `product`."
     )
-    return Finding(check, Outcome.FAIL, text)
+    return CheckResult(check, CheckOutcome.FAIL, text)
 
 
-def channels(board: BoardFacts, tool: Tool) -> Finding:
+def check_channels(board: BoardInfo, tool: Tool) -> CheckResult:
     """Whether the board has the channels and the range that the file names."""
     check, named = "channels", tool.channels
     inputs = (named.strain, named.motor_command_readback, *named.touch)
@@ -74,40 +74,46 @@ def channels(board: BoardFacts, tool: Tool) -> Finding:
     if missing:
         there = ", ".join((*board.analog_inputs, *board.analog_outputs, *board.counters))
         text = f"the board has no {', '.join(missing)}: correct the names under [channels]. It has {there}."
-        return Finding(check, Outcome.FAIL, text)
+        return CheckResult(check, CheckOutcome.FAIL, text)
     if twice := {each for each in inputs if inputs.count(each) > 1}:
         text = f"{', '.join(sorted(twice))} stands for two signals: correct the names under [channels]."
-        return Finding(check, Outcome.FAIL, text)
+        return CheckResult(check, CheckOutcome.FAIL, text)
     if not any(abs(each - named.analog_range_v) < 1e-6 for each in board.input_ranges_v):
         ranges = ", ".join(f"{each:g}" for each in sorted(set(board.input_ranges_v)))
         text = f"the board has no range of {named.analog_range_v:g} V: set `analog_range_v` to one of {ranges} V."
-        return Finding(check, Outcome.FAIL, text)
-    return Finding(check, Outcome.PASS, f"{len(inputs)} inputs up to {named.analog_range_v:g} V, output, encoder")
+        return CheckResult(check, CheckOutcome.FAIL, text)
+    return CheckResult(
+        check, CheckOutcome.PASS, f"{len(inputs)} inputs up to {named.analog_range_v:g} V, output, encoder"
+    )
 
 
-def calibration(tool: Tool, today: datetime.date) -> Finding:
+def check_calibration(tool: Tool, today: datetime.date) -> CheckResult:
     """Whether the tool's constants are still to be trusted."""
     check = "calibration"
-    if expired := tool.expired(today):
+    if expired := tool.find_expired_constants(today):
         names = ", ".join(f"{each.constant} of {each.date}, on {each.expires}" for each in expired)
-        how = dict.fromkeys(CALIBRATED[each.constant] for each in expired if each.constant in CALIBRATED)
+        how = dict.fromkeys(
+            CALIBRATION_COMMANDS[each.constant] for each in expired if each.constant in CALIBRATION_COMMANDS
+        )
         what = ", ".join(f"`graspwatch calibrate {each}`" for each in how) or "see `force scale`"
-        return Finding(check, Outcome.FAIL, f"expired: {names}. Measure these anew: {what}.")
-    dates = sorted(each.expires for each in tool.constants if each.expires)
-    found = f"the oldest constant is of {min(each.date for each in tool.constants)}"
-    return Finding(check, Outcome.PASS, f"{found}, {f'all are good until {dates[0]}' if dates else 'none expires'}")
+        return CheckResult(check, CheckOutcome.FAIL, f"expired: {names}. Measure these anew: {what}.")
+    dates = sorted(each.expires for each in tool.constant_origins if each.expires)
+    found = f"the oldest constant is of {min(each.date for each in tool.constant_origins)}"
+    return CheckResult(
+        check, CheckOutcome.PASS, f"{found}, {f'all are good until {dates[0]}' if dates else 'none expires'}"
+    )
 
 
-def force_scale(tool: Tool) -> Finding:
+def check_force_scale(tool: Tool) -> CheckResult:
     """Whether it is known how many newtons a volt is."""
     check = "force scale"
     if tool.has_known_scale:
-        return Finding(check, Outcome.PASS, tool.scale_in_words)
+        return CheckResult(check, CheckOutcome.PASS, tool.scale_text)
     text = (
-        f"{tool.scale_in_words}: the tool is not armed before it is. Close the jaws on a load cell (an admin arms the "
+        f"{tool.scale_text}: the tool is not armed before it is. Close the jaws on a load cell (an admin arms the "
         "tool for that with a reason), and state the ratio to the force shown under [calibration.jaw_force_scale]."
     )
-    return Finding(check, Outcome.FAIL, text)
+    return CheckResult(check, CheckOutcome.FAIL, text)
 
 
 def lateness_ms(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.ndarray]:
@@ -117,7 +123,7 @@ def lateness_ms(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.nd
     return measured_hz, np.sort(behind_ns - behind_ns.min()) / 1e6
 
 
-def clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> Finding:
+def check_sample_clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> CheckResult:
     """Blocks by the tick after their last sample, (n,), and when each had been read."""
     check = "sample clock"
     measured_hz, late_ms = lateness_ms(ticks, arrived_ns)
@@ -127,40 +133,40 @@ def clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> Finding:
         "late_99_ms": float(np.quantile(late_ms, 0.99)),
         "late_longest_ms": float(late_ms[-1]),
     }
-    if abs(measured_hz / rate_hz - 1) > RATE_SHARE:
-        return Finding(
+    if abs(measured_hz / rate_hz - 1) > RATE_TOLERANCE:
+        return CheckResult(
             check,
-            Outcome.FAIL,
+            CheckOutcome.FAIL,
             f"{measured_hz:.1f} samples a second come instead of {rate_hz:.0f}: see that nothing "
             "else drives the board's sample clock, and that `sample_rate_hz` is one that it can make.",
             figures,
         )
-    if late_ms[-1] > LATE_MS:
-        return Finding(
+    if late_ms[-1] > MAX_LATENESS_MS:
+        return CheckResult(
             check,
-            Outcome.FAIL,
-            f"a block came {late_ms[-1]:.1f} ms late, and {LATE_MS:.0f} ms end a grasp: "
+            CheckOutcome.FAIL,
+            f"a block came {late_ms[-1]:.1f} ms late, and {MAX_LATENESS_MS:.0f} ms end a grasp: "
             "close other programs, and let this user have real-time priority.",
             figures,
         )
     text = f"{measured_hz:.2f} Hz; blocks late by {figures['late_99_ms']:.2f} ms at most in 99 of 100"
-    return Finding(check, Outcome.PASS, text, figures)
+    return CheckResult(check, CheckOutcome.PASS, text, figures)
 
 
-def strain(rest: Signals, tool: Tool) -> Finding:
+def check_strain(rest: RawSignals, tool: Tool) -> CheckResult:
     """The strain gage with the motor at zero and the jaws open."""
     check, calibration, volts = "strain gage at rest", tool.calibration, rest.strain_v
-    mean_v, sd_v, (least_v, most_v) = float(volts.mean()), float(volts.std()), sound_noise_v(tool)
+    mean_v, sd_v, (least_v, most_v) = float(volts.mean()), float(volts.std()), compute_noise_range_v(tool)
     figures = {"rest_v": mean_v, "noise_v": sd_v}
     found = f"it reads {mean_v:.3f} V and scatters by {sd_v * 1e3:.1f} mV"
-    if other := _swapped_with(rest, tool):
+    if other := _find_swapped_channel(rest, tool):
         why = f"{found}, and {other} looks like a strain gage: the two are swapped. Exchange their wires or names."
-    elif np.abs(volts).max() > RAIL_SHARE * tool.channels.analog_range_v:
+    elif np.abs(volts).max() > SATURATION_SHARE * tool.channels.analog_range_v:
         why = (
             f"{found}, the end of its range: look for a broken wire, an amplifier without power, or an "
             "`analog_range_v` that is too small."
         )
-    elif (hum := _mains(volts, tool.board.sample_rate_hz)) > MAINS_SHARE and sd_v > most_v:
+    elif (hum := _compute_mains_share(volts, tool.board.sample_rate_hz)) > MAINS_SHARE and sd_v > most_v:
         why = f"{found}, {hum:.0%} of it mains hum: nothing drives {tool.channels.strain}. Connect the amplifier."
     elif sd_v > most_v:
         why = (
@@ -169,18 +175,18 @@ def strain(rest: Signals, tool: Tool) -> Finding:
         )
     elif sd_v < least_v:
         why = f"{found}, which no amplifier does: check that {tool.channels.strain} is the strain gage's channel."
-    elif not calibration.is_rest(mean_v):
+    elif not calibration.is_rest_voltage(mean_v):
         why = (
             f"{found}; the tool file expects {calibration.rest_offset_v:.3f} V within "
             f"{calibration.rest_tolerance_v:.3f} V: open the jaws, balance the bridge, or measure the rest anew with "
             "`graspwatch calibrate tare`."
         )
     else:
-        return Finding(check, Outcome.PASS, found, figures)
-    return Finding(check, Outcome.FAIL, why, figures)
+        return CheckResult(check, CheckOutcome.PASS, found, figures)
+    return CheckResult(check, CheckOutcome.FAIL, why, figures)
 
 
-def _swapped_with(rest: Signals, tool: Tool) -> str | None:
+def _find_swapped_channel(rest: RawSignals, tool: Tool) -> str | None:
     """Which other channel looks like the strain gage, where the strain gage's does not."""
     channels = tool.channels
     others = {
@@ -188,17 +194,17 @@ def _swapped_with(rest: Signals, tool: Tool) -> str | None:
         f"touch sensor 1 ({channels.touch[0]})": rest.touch_v[0],
         f"touch sensor 2 ({channels.touch[1]})": rest.touch_v[1],
     }
-    if _is_like_strain(rest.strain_v, tool):
+    if _looks_like_strain(rest.strain_v, tool):
         return None
-    return next((name for name, volts in others.items() if _is_like_strain(volts, tool)), None)
+    return next((name for name, volts in others.items() if _looks_like_strain(volts, tool)), None)
 
 
-def _is_like_strain(volts: np.ndarray, tool: Tool) -> bool:
-    least_v, most_v = sound_noise_v(tool)
-    return tool.calibration.is_rest(float(volts.mean())) and least_v <= float(volts.std()) <= most_v
+def _looks_like_strain(volts: np.ndarray, tool: Tool) -> bool:
+    least_v, most_v = compute_noise_range_v(tool)
+    return tool.calibration.is_rest_voltage(float(volts.mean())) and least_v <= float(volts.std()) <= most_v
 
 
-def _mains(volts: np.ndarray, rate_hz: float) -> float:
+def _compute_mains_share(volts: np.ndarray, rate_hz: float) -> float:
     """The share of the variance at the frequency of the mains."""
     power = np.abs(np.fft.rfft(volts - volts.mean())) ** 2
     at_hz = np.fft.rfftfreq(len(volts), 1.0 / rate_hz)
@@ -206,28 +212,30 @@ def _mains(volts: np.ndarray, rate_hz: float) -> float:
     return float(power[near].sum() / power.sum()) if power.sum() else 0.0
 
 
-def command_at_zero(rest: Signals, tool: Tool) -> Finding:
+def check_command_at_zero(rest: RawSignals, tool: Tool) -> CheckResult:
     """The motor command read back with the motor at zero."""
     check, most_v = "motor at zero", float(np.abs(rest.readback_v).max())
     if most_v < COMMAND_ON_V:
-        return Finding(check, Outcome.PASS, f"read back within {most_v * 1e3:.0f} mV of zero", {"most_v": most_v})
+        return CheckResult(
+            check, CheckOutcome.PASS, f"read back within {most_v * 1e3:.0f} mV of zero", {"most_v": most_v}
+        )
     channels = tool.channels
     text = (
         f"{channels.motor_command_readback} reads {most_v:.2f} V while the motor is commanded to zero: connect it to "
         f"{channels.motor_command}, or correct `motor_command_readback` under [channels]."
     )
-    return Finding(check, Outcome.FAIL, text, {"most_v": most_v})
+    return CheckResult(check, CheckOutcome.FAIL, text, {"most_v": most_v})
 
 
-def encoder_at_rest(rest: Signals) -> Finding:
+def check_encoder_at_rest(rest: RawSignals) -> CheckResult:
     check, moved_deg = "encoder at rest", float(np.ptp(rest.encoder_deg))
-    if moved_deg < STILL_DEG:
-        return Finding(check, Outcome.PASS, f"still within {moved_deg:.2f} degrees", {"moved_deg": moved_deg})
+    if moved_deg < MAX_REST_MOTION_DEG:
+        return CheckResult(check, CheckOutcome.PASS, f"still within {moved_deg:.2f} degrees", {"moved_deg": moved_deg})
     text = f"it moved by {moved_deg:.1f} degrees: check the screen of its cable, and that nothing turns the motor."
-    return Finding(check, Outcome.FAIL, text, {"moved_deg": moved_deg})
+    return CheckResult(check, CheckOutcome.FAIL, text, {"moved_deg": moved_deg})
 
 
-def touch(rest: Signals, tool: Tool) -> Finding:
+def check_touch_sensors(rest: RawSignals, tool: Tool) -> CheckResult:
     """The touch sensors with the jaws open and empty."""
     check, threshold_v = "touch sensors at rest", tool.contact.touch_threshold_v
     levels_v = [float(np.median(volts)) for volts in rest.touch_v]
@@ -235,74 +243,79 @@ def touch(rest: Signals, tool: Tool) -> Finding:
     found = f"they read {levels_v[0]:.1f} and {levels_v[1]:.1f} V"
     if min(levels_v) > threshold_v and tool.contact.touch_trusted:
         text = f"{found}, which is contact: empty the jaws, or set `touch_trusted = false` under [contact]."
-        return Finding(check, Outcome.FAIL, text, figures)
+        return CheckResult(check, CheckOutcome.FAIL, text, figures)
     trust = "" if tool.contact.touch_trusted else "; the tool file does not trust them"
-    return Finding(check, Outcome.PASS, found + trust, figures)
+    return CheckResult(check, CheckOutcome.PASS, found + trust, figures)
 
 
-def readback(commands_v: np.ndarray, readback_v: np.ndarray, tool: Tool) -> Finding:
+def check_readback(commands_v: np.ndarray, readback_v: np.ndarray, tool: Tool) -> CheckResult:
     """Levels that were commanded, (n,), and the mean of what was read back at each."""
     check, channels = "motor command read back", tool.channels
     gain, offset_v = (float(value) for value in np.polyfit(commands_v, readback_v, 1))
     figures = {"gain": gain, "offset_v": offset_v}
-    if np.abs(readback_v).max() < NEVER_V:
+    if np.abs(readback_v).max() < UNCONNECTED_V:
         why = (
             f"{channels.motor_command_readback} stays at zero: it is not connected to {channels.motor_command}, or the "
             "motor command goes to another output. Connect the two."
         )
-    elif abs(gain - 1) > GAIN_SHARE or abs(offset_v) > OFFSET_V:
+    elif abs(gain - 1) > READBACK_GAIN_TOLERANCE or abs(offset_v) > READBACK_OFFSET_TOLERANCE_V:
         why = (
             f"of each volt {gain:.3f} V come back, and {offset_v * 1e3:+.0f} mV at zero: something else drives "
             f"{channels.motor_command_readback}, a divider is in its way, or the output is loaded."
         )
     else:
         text = f"{gain:.4f} V a volt, {offset_v * 1e3:+.1f} mV at zero"
-        return Finding(check, Outcome.PASS, text, figures)
-    return Finding(check, Outcome.FAIL, why, figures)
+        return CheckResult(check, CheckOutcome.PASS, text, figures)
+    return CheckResult(check, CheckOutcome.FAIL, why, figures)
 
 
-def round_trip(samples: int, tool: Tool) -> Finding:
+def check_round_trip(samples: int, tool: Tool) -> CheckResult:
     """How many samples after the last one known when a command was written it was read back."""
     check, took_ms = "round trip", 1e3 * samples / tool.board.sample_rate_hz
     figures = {"delay_ms": took_ms}
-    if took_ms <= DELAY_MS:
-        return Finding(check, Outcome.PASS, f"a command is read back {took_ms:.0f} ms after its block", figures)
+    if took_ms <= MAX_ROUND_TRIP_MS:
+        return CheckResult(
+            check, CheckOutcome.PASS, f"a command is read back {took_ms:.0f} ms after its block", figures
+        )
     text = (
-        f"a command is read back {took_ms:.0f} ms after its block, and more than {DELAY_MS:.0f} ms are too slow to let "
+        f"a command is read back {took_ms:.0f} ms after its block, and more than {MAX_ROUND_TRIP_MS:.0f} ms are "
+        "too slow to let "
         "go in time: use a board in this computer, or a faster network."
     )
-    return Finding(check, Outcome.FAIL, text, figures)
+    return CheckResult(check, CheckOutcome.FAIL, text, figures)
 
 
-def encoder_direction(turned_deg: float, tool: Tool) -> Finding:
+def check_encoder_direction(turned_deg: float, tool: Tool) -> CheckResult:
     """How far the encoder turned while the jaws closed."""
     check, figures, name = "encoder direction", {"turned_deg": turned_deg}, tool.channels.encoder
-    if turned_deg >= TURN_LEAST_DEG:
-        return Finding(check, Outcome.PASS, f"closing turns it by {turned_deg:+.0f} degrees", figures)
-    if turned_deg <= -TURN_LEAST_DEG:
+    if turned_deg >= MIN_TURN_DEG:
+        return CheckResult(check, CheckOutcome.PASS, f"closing turns it by {turned_deg:+.0f} degrees", figures)
+    if turned_deg <= -MIN_TURN_DEG:
         text = f"closing turns it by {turned_deg:+.0f} degrees, backwards: exchange A and B of {name}."
     else:
         text = (
             f"closing turns it by {turned_deg:+.1f} degrees only: check the cable of {name}, its name in the file, "
             "that the amplifier is enabled, and that the jaws are free."
         )
-    return Finding(check, Outcome.FAIL, text, figures)
+    return CheckResult(check, CheckOutcome.FAIL, text, figures)
 
 
-def encoder_scale(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> Finding:
+def check_encoder_scale(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> CheckResult:
     """Means at some levels of force with the jaws shut, (n,): Eq. (3) tells how far the cable stretches a volt."""
     check, expected = "encoder scale", tool.calibration.encoder_deg_per_volt
-    if np.ptp(strain_v) < SHUT_LEAST_V or not expected:
-        return Finding(check, Outcome.NOT_DONE, "the strain changed too little with the jaws shut to judge by it")
+    if np.ptp(strain_v) < MIN_STRAIN_CHANGE_V or not expected:
+        return CheckResult(
+            check, CheckOutcome.NOT_DONE, "the strain changed too little with the jaws shut to judge by it"
+        )
     slope = float(np.polyfit(strain_v, encoder_deg, 1)[0])
     figures, share = {"deg_per_volt": slope}, slope / expected
     found = f"the cable stretches by {slope:.1f} degrees a volt, the tool file says {expected:.1f}"
-    if abs(share - 1) <= SCALE_SHARE:
-        return Finding(check, Outcome.PASS, found, figures)
+    if abs(share - 1) <= SCALE_TOLERANCE:
+        return CheckResult(check, CheckOutcome.PASS, found, figures)
     factors = {"half": 0.5, "twice": 2.0, "a quarter of": 0.25, "four times": 4.0}
-    guess = next((word for word, factor in factors.items() if abs(share / factor - 1) <= SCALE_SHARE), None)
+    guess = next((word for word, factor in factors.items() if abs(share / factor - 1) <= SCALE_TOLERANCE), None)
     if guess:
         text = f"{found}: it counts {guess} the pulses. Correct `encoder_counts_per_rev` or `encoder_gear_ratio`."
     else:
         text = f"{found}: look for a cable that slips, or measure it anew with `graspwatch calibrate stretch`."
-    return Finding(check, Outcome.FAIL, text, figures)
+    return CheckResult(check, CheckOutcome.FAIL, text, figures)

@@ -9,27 +9,27 @@ from itertools import pairwise
 
 import numpy as np
 
-from acquisition.bench.checks import RAIL_SHARE, Signals
-from acquisition.calibration import to_jaw
-from acquisition.selftest import STILL_DEG, sound_noise_v
+from acquisition.bench.checks import SATURATION_SHARE, RawSignals
+from acquisition.calibration import compute_jaw_signals
+from acquisition.selftest import MAX_REST_MOTION_DEG, compute_noise_range_v
 from config.errors import CalibrationError
 from config.schema import Tool
 
 CONFIDENCE = 0.95
-PIECES = 20  # of a reading at rest: their means scatter as slowly as the offset walks
-DRIFT_V = 0.005  # of the rest voltage within a reading
-LEAST_WEIGHTS, LEAST_GAUGES, LEAST_PASSES = 4, 3, 3
-WEIGHT_SHARE = 0.02  # of the span, by which a reading may lie off the line
-WIDE_SHARE = 0.02  # of a constant: half of its confidence interval
-BEND_SHARE = 0.05
+REST_SEGMENTS = 20  # of a reading at rest: their means scatter as slowly as the offset walks
+MAX_REST_DRIFT_V = 0.005  # of the rest voltage within a reading
+MIN_WEIGHTS, MIN_GAUGES, MIN_PASSES = 4, 3, 3
+MAX_WEIGHT_RESIDUAL_SHARE = 0.02  # of the span, by which a reading may lie off the line
+MAX_INTERVAL_SHARE = 0.02  # of a constant: half of its confidence interval
+MAX_CURVATURE_SHARE = 0.05
 """By which the stretch may change from the lower to the upper half of the force: shut jaws yield along a line."""
-SLIP_SHARE = 0.6  # of the stretch that the tool file names
-SCATTER_SHARE = 0.1  # of the stretch, standard deviation from pass to pass
-GAUGE_OFF_M = 1e-4
+MIN_STRETCH_SHARE = 0.6  # of the stretch that the tool file names
+MAX_PASS_SCATTER_SHARE = 0.1  # of the stretch, standard deviation from pass to pass
+MAX_GAUGE_RESIDUAL_M = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class Constant:
+class FittedConstant:
     """One constant of a tool file, as measured: with its confidence interval, and what the fit leaves (RMS)."""
 
     key: str  # in the tool file, e.g. `calibration.newton_per_volt`
@@ -42,29 +42,29 @@ class Constant:
     readings: int
 
     @property
-    def half_share(self) -> float:
+    def interval_half_width_share(self) -> float:
         """Half of the confidence interval as a share of the constant."""
         return (self.high - self.low) / 2 / abs(self.value)
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class CalibrationFit:
     """What a calibration found, and the points and the line of its plot."""
 
-    constants: tuple[Constant, ...]
+    constants: tuple[FittedConstant, ...]
     points: tuple[np.ndarray, np.ndarray]
     line: tuple[np.ndarray, np.ndarray]
     axes: tuple[str, str]
     remarks: tuple[str, ...] = ()
 
 
-def before(constant: Constant, tool: Tool) -> float | None:
+def read_current_value(constant: FittedConstant, tool: Tool) -> float | None:
     """What the tool file says."""
     table, key = constant.key.split(".")
     return getattr(getattr(tool, table), key)
 
 
-def tare(rest: Signals, tool: Tool) -> Fit:
+def fit_tare(rest: RawSignals, tool: Tool) -> CalibrationFit:
     """Rest voltage and its noise, of the strain gage with the motor at zero and the jaws open.
 
     Raises:
@@ -72,9 +72,9 @@ def tare(rest: Signals, tool: Tool) -> Fit:
     """
     volts, rate_hz = rest.strain_v, tool.board.sample_rate_hz
     _check_numbers(volts, rest.encoder_deg)
-    least_v, most_v = sound_noise_v(tool)
+    least_v, most_v = compute_noise_range_v(tool)
     sd_v = float(np.std(np.diff(volts))) / np.sqrt(2)  # of neighbours: without what walks slowly
-    if np.abs(volts).max() > RAIL_SHARE * tool.channels.analog_range_v:
+    if np.abs(volts).max() > SATURATION_SHARE * tool.channels.analog_range_v:
         raise CalibrationError(
             f"The strain gage reads {volts[np.abs(volts).argmax()]:.2f} V, the end of its range: look for a broken "
             "wire, or balance the bridge."
@@ -84,27 +84,31 @@ def tare(rest: Signals, tool: Tool) -> Fit:
             f"The strain gage scatters by {sd_v * 1e3:.2f} mV, a sound one by {least_v * 1e3:.2f} to "
             f"{most_v * 1e3:.2f} mV: find out why with `graspwatch check`."
         )
-    if (turned := float(np.ptp(rest.encoder_deg))) >= STILL_DEG:
+    if (turned := float(np.ptp(rest.encoder_deg))) >= MAX_REST_MOTION_DEG:
         raise CalibrationError(f"The encoder turned by {turned:.1f} degrees meanwhile: let go of the tool, and repeat.")
-    pieces_v = np.array([piece.mean() for piece in np.array_split(volts, PIECES)])
-    at_s = (np.arange(PIECES) + 0.5) * len(volts) / PIECES / rate_hz
+    pieces_v = np.array([piece.mean() for piece in np.array_split(volts, REST_SEGMENTS)])
+    at_s = (np.arange(REST_SEGMENTS) + 0.5) * len(volts) / REST_SEGMENTS / rate_hz
     drift_v = float(np.polyfit(at_s, pieces_v, 1)[0] * (at_s[-1] - at_s[0]))
-    if abs(drift_v) > DRIFT_V:
+    if abs(drift_v) > MAX_REST_DRIFT_V:
         raise CalibrationError(
             f"The rest voltage walked by {drift_v * 1e3:+.1f} mV while it was read: let the amplifier warm up for half "
             "an hour with nothing on the tool, and repeat."
         )
     mean_v = float(pieces_v.mean())
-    half_v = _quantile(PIECES - 1) * float(pieces_v.std(ddof=1)) / np.sqrt(PIECES)
-    spread = _quantile(len(volts) - 1) / np.sqrt(2 * len(volts))  # of a standard deviation
+    half_v = _compute_student_quantile(REST_SEGMENTS - 1) * float(pieces_v.std(ddof=1)) / np.sqrt(REST_SEGMENTS)
+    spread = _compute_student_quantile(len(volts) - 1) / np.sqrt(2 * len(volts))  # of a standard deviation
     constants = (
-        Constant("calibration.rest_offset_v", mean_v, mean_v - half_v, mean_v + half_v, "V", sd_v, "V", len(volts)),
-        Constant("noise.strain_sd_v", sd_v, sd_v * (1 - spread), sd_v * (1 + spread), "V", 0.0, "V", len(volts)),
+        FittedConstant(
+            "calibration.rest_offset_v", mean_v, mean_v - half_v, mean_v + half_v, "V", sd_v, "V", len(volts)
+        ),
+        FittedConstant("noise.strain_sd_v", sd_v, sd_v * (1 - spread), sd_v * (1 + spread), "V", 0.0, "V", len(volts)),
     )
-    return Fit(constants, (at_s, pieces_v), (at_s, np.full(PIECES, mean_v)), ("time, s", "strain gage at rest, V"))
+    return CalibrationFit(
+        constants, (at_s, pieces_v), (at_s, np.full(REST_SEGMENTS, mean_v)), ("time, s", "strain gage at rest, V")
+    )
 
 
-def strain(weights_n: Sequence[float], readings: Sequence[Signals], tool: Tool) -> Fit:
+def fit_strain(weights_n: Sequence[float], readings: Sequence[RawSignals], tool: Tool) -> CalibrationFit:
     """Eq. (1) from known pulls on the handle, N, in the order in which they were read; rest (0 N) is one of them.
 
     Raises:
@@ -128,17 +132,17 @@ def strain(weights_n: Sequence[float], readings: Sequence[Signals], tool: Tool) 
         raise CalibrationError(
             "The strain gage falls as the pull grows: exchange the two signal wires of the bridge, then repeat."
         )
-    slope, intercept, slope_se = _line(pulls_n, volts)  # V a newton: the pulls are known, the volts scatter
+    slope, intercept, slope_se = _fit_line(pulls_n, volts)  # V a newton: the pulls are known, the volts scatter
     left_v = volts - (intercept + slope * pulls_n)
     worst = int(np.abs(left_v).argmax())
     span_v = float(np.ptp(volts))
-    if abs(left_v[worst]) > WEIGHT_SHARE * span_v:
+    if abs(left_v[worst]) > MAX_WEIGHT_RESIDUAL_SHARE * span_v:
         raise CalibrationError(
             f"The reading at {pulls_n[worst]:g} N lies {left_v[worst] * 1e3:+.1f} mV off the line, more than "
-            f"{WEIGHT_SHARE:.0%} of the span: a weight is named wrong, swings or rubs. Repeat it."
+            f"{MAX_WEIGHT_RESIDUAL_SHARE:.0%} of the span: a weight is named wrong, swings or rubs. Repeat it."
         )
-    half = _quantile(len(volts) - 2) * slope_se
-    constant = _of_slope(
+    half = _compute_student_quantile(len(volts) - 2) * slope_se
+    constant = _build_slope_constant(
         "calibration.newton_per_volt",
         1 / slope,
         1 / (slope + half),
@@ -150,9 +154,9 @@ def strain(weights_n: Sequence[float], readings: Sequence[Signals], tool: Tool) 
     )
     along_n = np.array([pulls_n.min(), pulls_n.max()])
     remarks = ()
-    if not tool.calibration.is_rest(intercept):
+    if not tool.calibration.is_rest_voltage(intercept):
         remarks = (f"Without any pull the line gives {intercept:.3f} V, which is no rest of this file: tare anew.",)
-    return Fit(
+    return CalibrationFit(
         (constant,),
         (pulls_n, volts),
         (along_n, intercept + slope * along_n),
@@ -170,66 +174,66 @@ def check_pulls(weights_n: Sequence[float]) -> np.ndarray:
     pulls_n = np.array(weights_n, float)
     if not np.isfinite(pulls_n).all() or (pulls_n < 0).any():
         raise CalibrationError("A pull is a number of newtons that is not negative: correct the list.")
-    if len(set(pulls_n.tolist())) < LEAST_WEIGHTS:
+    if len(set(pulls_n.tolist())) < MIN_WEIGHTS:
         raise CalibrationError(
-            f"{len(set(pulls_n.tolist()))} different pulls tell no line from a curve: give at least {LEAST_WEIGHTS}, "
+            f"{len(set(pulls_n.tolist()))} different pulls tell no line from a curve: give at least {MIN_WEIGHTS}, "
             "the unloaded gage (0) included."
         )
     return pulls_n
 
 
 @dataclass(frozen=True, slots=True)
-class Pass:
+class LoadingPass:
     """Strain voltage and encoder angle while the force on shut jaws went one way, each of shape (n,)."""
 
     strain_v: np.ndarray
     encoder_deg: np.ndarray
 
 
-def stretch(passes: Sequence[Pass], tool: Tool) -> Fit:
+def fit_stretch(passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
     """Eq. (3) from jaws that are shut: how far the encoder turns a volt. One slope a pass, their mean is the constant.
 
     Raises:
         CalibrationError: something yields between the jaws, the encoder slips, or the passes disagree.
     """
-    if len(passes) < LEAST_PASSES:
+    if len(passes) < MIN_PASSES:
         raise CalibrationError(
-            f"{len(passes)} passes with shut jaws are too few for a confidence interval: at least {LEAST_PASSES}."
+            f"{len(passes)} passes with shut jaws are too few for a confidence interval: at least {MIN_PASSES}."
         )
     for each in passes:
         _check_numbers(each.strain_v, each.encoder_deg)
-    lines = [_line(each.strain_v, each.encoder_deg) for each in passes]
+    lines = [_fit_line(each.strain_v, each.encoder_deg) for each in passes]
     slopes = np.array([slope for slope, _, _ in lines])
     value, sd = float(slopes.mean()), float(slopes.std(ddof=1))
     expected = tool.calibration.encoder_deg_per_volt
     found = f"The cable stretches by {value:.1f} deg/V"
-    if expected and value < SLIP_SHARE * expected:
+    if expected and value < MIN_STRETCH_SHARE * expected:
         raise CalibrationError(
             f"{found}, the tool file says {expected:.1f}: the encoder slips on its shaft or loses counts. Fasten its "
             "coupling, see `graspwatch check`, and repeat."
         )
-    if sd > SCATTER_SHARE * abs(value):
+    if sd > MAX_PASS_SCATTER_SHARE * abs(value):
         raise CalibrationError(
             f"{found}, but scatters by {sd:.1f} from pass to pass: the jaws were not shut each time, or the encoder "
             "slips. Empty the jaws, and repeat."
         )
-    bend = float(np.median([_bend(each) for each in passes]))
-    if abs(bend) > BEND_SHARE:
+    bend = float(np.median([_compute_curvature_share(each) for each in passes]))
+    if abs(bend) > MAX_CURVATURE_SHARE:
         raise CalibrationError(
             f"{found}, and {abs(bend):.0%} {'less' if bend < 0 else 'more'} at the higher forces: something between "
             "the jaws yields, or they are not shut. Empty them, and repeat."
         )
-    half = _quantile(len(passes) - 1) * sd / np.sqrt(len(passes))
+    half = _compute_student_quantile(len(passes) - 1) * sd / np.sqrt(len(passes))
     left_deg = np.concatenate(
         [each.encoder_deg - (at + slope * each.strain_v) for each, (slope, at, _) in zip(passes, lines, strict=True)]
     )
-    constant = _of_slope(
+    constant = _build_slope_constant(
         "calibration.encoder_deg_per_volt", value, value - half, value + half, "deg/V", left_deg, "deg", len(passes)
     )
     strain_v = np.concatenate([each.strain_v for each in passes])
     turned_deg = np.concatenate([each.encoder_deg - at for each, (_, at, _) in zip(passes, lines, strict=True)])
     along_v = np.array([strain_v.min(), strain_v.max()])
-    return Fit(
+    return CalibrationFit(
         (constant,),
         (strain_v, turned_deg),
         (along_v, value * along_v),
@@ -237,7 +241,7 @@ def stretch(passes: Sequence[Pass], tool: Tool) -> Fit:
     )
 
 
-def geometry(gauges_m: Sequence[float], passes: Sequence[Pass], tool: Tool) -> Fit:
+def fit_geometry(gauges_m: Sequence[float], passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
     """Opening of the jaws and ratio of handle to encoder, Eqs. (4) to (6), from gauges of known thickness.
 
     Args:
@@ -262,7 +266,9 @@ def geometry(gauges_m: Sequence[float], passes: Sequence[Pass], tool: Tool) -> F
 
     def travel_m(handle_per_encoder: float) -> np.ndarray:
         turning = tool.calibration.model_copy(update={"handle_per_encoder": handle_per_encoder})
-        jaw = to_jaw(tool.model_copy(update={"calibration": turning}), np.zeros(len(turned_deg)), turned_deg.copy())
+        jaw = compute_jaw_signals(
+            tool.model_copy(update={"calibration": turning}), np.zeros(len(turned_deg)), turned_deg.copy()
+        )
         return jaw.displacement_m
 
     def left_m(unknown: np.ndarray) -> np.ndarray:
@@ -282,26 +288,26 @@ def geometry(gauges_m: Sequence[float], passes: Sequence[Pass], tool: Tool) -> F
     solved = least_squares(left_m, begin)
     left, free = solved.fun, len(thick_m) - 2
     worst = int(np.abs(left).argmax())
-    if abs(left[worst]) > GAUGE_OFF_M:
+    if abs(left[worst]) > MAX_GAUGE_RESIDUAL_M:
         raise CalibrationError(
             f"The gauge of {thick_m[worst] * 1e3:g} mm lies {left[worst] * 1e3:+.2f} mm off: it is named wrong, lay "
             "askew, or the linkage is not that of Table I. Repeat it."
         )
     variance = float(left @ left) / free * np.linalg.inv(solved.jac.T @ solved.jac)
-    half = _quantile(free) * np.sqrt(np.diag(variance)) * (1e-1, 1e-3)
+    half = _compute_student_quantile(free) * np.sqrt(np.diag(variance)) * (1e-1, 1e-3)
     ratio, opening_m = solved.x * (1e-1, 1e-3)
     residual_m = float(np.sqrt(np.mean(left**2)))
     constants = tuple(
-        Constant(key, float(value), float(value - h), float(value + h), unit, residual_m, "m", len(thick_m))
+        FittedConstant(key, float(value), float(value - h), float(value + h), unit, residual_m, "m", len(thick_m))
         for key, value, h, unit in (
             ("calibration.handle_per_encoder", ratio, half[0], "deg/deg"),
             ("geometry.opening_m", opening_m, half[1], "m"),
         )
     )
     for each in constants:
-        _check_width(each)
+        _check_interval_width(each)
     along = np.argsort(turned_deg)
-    return Fit(
+    return CalibrationFit(
         constants,
         (turned_deg, thick_m * 1e3),
         (turned_deg[along], (opening_m - travel_m(ratio)[along]) * 1e3),
@@ -316,44 +322,45 @@ def check_gauges(gauges_m: Sequence[float]) -> np.ndarray:
         CalibrationError: there are too few, or impossible ones.
     """
     thick_m = np.array(gauges_m, float)
-    if len(set(thick_m.tolist())) < LEAST_GAUGES or (thick_m < 0).any() or not np.isfinite(thick_m).all():
-        raise CalibrationError(f"At least {LEAST_GAUGES} gauges of different thickness are needed, 0 for empty jaws.")
+    if len(set(thick_m.tolist())) < MIN_GAUGES or (thick_m < 0).any() or not np.isfinite(thick_m).all():
+        raise CalibrationError(f"At least {MIN_GAUGES} gauges of different thickness are needed, 0 for empty jaws.")
     return thick_m
 
 
-def _of_slope(
+def _build_slope_constant(
     key: str, value: float, low: float, high: float, unit: str, left: np.ndarray, residual_unit: str, readings: int
-) -> Constant:
+) -> FittedConstant:
     residual = float(np.sqrt(np.mean(left**2)))
-    constant = Constant(key, float(value), float(low), float(high), unit, residual, residual_unit, readings)
-    _check_width(constant)
+    constant = FittedConstant(key, float(value), float(low), float(high), unit, residual, residual_unit, readings)
+    _check_interval_width(constant)
     return constant
 
 
-def _check_width(constant: Constant) -> None:
-    if not constant.half_share <= WIDE_SHARE:
+def _check_interval_width(constant: FittedConstant) -> None:
+    if not constant.interval_half_width_share <= MAX_INTERVAL_SHARE:
         raise CalibrationError(
             f"`{constant.key}` comes out as {constant.value:.4g} {constant.unit}, known only to within "
-            f"{constant.half_share:.1%}, and more than {WIDE_SHARE:.0%} are too many: take more readings, over a wider "
+            f"{constant.interval_half_width_share:.1%}, and more than {MAX_INTERVAL_SHARE:.0%} are too "
+            f"many: take more readings, over a wider "
             "range."
         )
 
 
-def check_steady(reading: Signals, which: str, tool: Tool) -> None:
+def check_steady(reading: RawSignals, which: str, tool: Tool) -> None:
     """One reading under a pull that is known.
 
     Raises:
         CalibrationError: the gage is not still, or not sound.
     """
     _check_numbers(reading.strain_v, reading.encoder_deg)
-    most_v = sound_noise_v(tool)[1]
+    most_v = compute_noise_range_v(tool)[1]
     sd_v = float(reading.strain_v.std())
     if sd_v > most_v:
         raise CalibrationError(
             f"At {which} the strain gage scatters by {sd_v * 1e3:.1f} mV, a steady one by at most "
             f"{most_v * 1e3:.1f} mV: let the weight come to rest, check the cable, and repeat."
         )
-    if np.abs(reading.strain_v).max() > RAIL_SHARE * tool.channels.analog_range_v:
+    if np.abs(reading.strain_v).max() > SATURATION_SHARE * tool.channels.analog_range_v:
         raise CalibrationError(
             f"At {which} the strain gage is at the end of its range: a cable is loose, or the weight is too large."
         )
@@ -364,14 +371,14 @@ def _check_numbers(*signals: np.ndarray) -> None:
         raise CalibrationError("A sensor gives no number: check its cable with `graspwatch check`, and repeat.")
 
 
-def _bend(each: Pass) -> float:
+def _compute_curvature_share(each: LoadingPass) -> float:
     """Change of the slope from the middle of the lower half of the strain to that of the upper, as a share of it."""
     middle_v, half_v = (each.strain_v.max() + each.strain_v.min()) / 2, np.ptp(each.strain_v) / 2
     quadratic, slope, _ = np.polyfit((each.strain_v - middle_v) / half_v, each.encoder_deg, 2)
     return float(2 * quadratic / slope) if slope else 0.0
 
 
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
+def _fit_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
     """Slope, value at zero, and standard error of the slope of the least-squares line."""
     centred = x - x.mean()
     slope = float(centred @ y / (centred @ centred))
@@ -381,7 +388,7 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
     return slope, at_zero, error
 
 
-def _quantile(freedom: int) -> float:
+def _compute_student_quantile(freedom: int) -> float:
     """Student's t for a two-sided interval."""
     from scipy.special import stdtrit  # takes a while, and the service needs it only for this
 

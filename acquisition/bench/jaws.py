@@ -8,30 +8,30 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
-from acquisition.bench.checks import Signals
-from acquisition.commands import Written
-from acquisition.nidaq import NidaqTool, check_driver, reset_device
+from acquisition.bench.checks import RawSignals
+from acquisition.commands import AppliedCommand
+from acquisition.nidaq import NidaqSource, read_driver_version, reset_device
 from acquisition.source import RawBlock
 from config.errors import ToolError
 from config.schema import Tool, ToolKind
 
-MOVE_V = 0.5
+CLOSING_COMMAND_V = 0.5
 """0.8 N on the Smart Tool, a third of the lowest injury threshold."""
-RISE_V = 0.01  # a block
-CLOSING_S = 3.0  # for the jaws to shut
-STANDS_BLOCKS, STANDS_DEG = 40, 0.1
-LEVEL_BLOCKS, SETTLED_BLOCKS = 40, 16
-MOST_STRAIN_V = 0.4
+RAMP_STEP_V = 0.01  # a block
+CLOSING_TIMEOUT_S = 3.0  # for the jaws to shut
+STANDSTILL_BLOCKS, STANDSTILL_DEG = 40, 0.1
+LEVEL_BLOCKS, SETTLING_BLOCKS = 40, 16
+MAX_STRAIN_V = 0.4
 """Beyond rest: 2 to 3 N, more than the motion comes to."""
 
 
-class Jaws:
+class EmptyJaws:
     """The jaws of a tool that is open, and what its strain gage reads at rest."""
 
-    def __init__(self, source: NidaqTool, tool: Tool, rest_v: float) -> None:
+    def __init__(self, source: NidaqSource, tool: Tool, rest_v: float) -> None:
         self._source, self._tool, self._rest_v = source, tool, rest_v
 
-    def read(self) -> RawBlock:
+    def read_block(self) -> RawBlock:
         """The next block.
 
         Raises:
@@ -39,68 +39,69 @@ class Jaws:
         """
         block = self._source.read_block()
         strain_v = float(np.median(block.strain_v)) - self._rest_v
-        if not abs(strain_v) < MOST_STRAIN_V:
+        if not abs(strain_v) < MAX_STRAIN_V:
             self._source.write_command(0.0)
             raise ToolError(
-                f"The strain gage rose by {strain_v:.2f} V under {MOVE_V} V, more than empty jaws do: the motor is at "
+                f"The strain gage rose by {strain_v:.2f} V under {CLOSING_COMMAND_V} V, more than empty jaws do: the "
+                f"motor is at "
                 "zero. Look what is in the jaws, and check gain, sign and cable of the amplifier."
             )
         return block
 
-    def shut(self) -> float:
+    def close(self) -> float:
         """Close until the encoder stands; its angle then, degrees."""
         written, last_deg, still = self._source.write_command(0.0), float("inf"), 0
-        for _ in range(blocks_in(CLOSING_S, self._tool)):
-            if written.command_v < MOVE_V:
-                written = self._source.write_command(min(written.command_v + RISE_V, MOVE_V))
-            block = self.read()
+        for _ in range(count_blocks(CLOSING_TIMEOUT_S, self._tool)):
+            if written.command_v < CLOSING_COMMAND_V:
+                written = self._source.write_command(min(written.command_v + RAMP_STEP_V, CLOSING_COMMAND_V))
+            block = self.read_block()
             now_deg = float(block.encoder_deg[-1])
-            is_driven = written.command_v == MOVE_V and not is_before(block, written)
-            still = still + 1 if is_driven and abs(now_deg - last_deg) < STANDS_DEG else 0
+            is_driven = written.command_v == CLOSING_COMMAND_V and not is_before_command(block, written)
+            still = still + 1 if is_driven and abs(now_deg - last_deg) < STANDSTILL_DEG else 0
             last_deg = now_deg
-            if still >= STANDS_BLOCKS:
+            if still >= STANDSTILL_BLOCKS:
                 break
         return last_deg
 
-    def hold(self, level_v: float) -> Signals:
+    def settle_at(self, level_v: float) -> RawSignals:
         """What the sensors read once a level of the command has settled."""
         written = self._source.write_command(level_v)
-        return settled_after(written, self.read)
+        return read_settled(written, self.read_block)
 
 
-def is_before(block: RawBlock, written: Written) -> bool:
+def is_before_command(block: RawBlock, written: AppliedCommand) -> bool:
     """Whether all of the block was taken before the command was on: a reader may lag."""
-    return block.first_tick + len(block) <= written.latest
+    return block.first_tick + len(block) <= written.latest_tick
 
 
-def settled_after(written: Written, read: Callable[[], RawBlock]) -> Signals:
+def read_settled(written: AppliedCommand, read: Callable[[], RawBlock]) -> RawSignals:
     """The next samples that were taken once the command had settled."""
-    while is_before(block := read(), written):
+    while is_before_command(block := read(), written):
         pass
-    return joined([block, *(read() for _ in range(LEVEL_BLOCKS - 1))][SETTLED_BLOCKS:])
+    return concatenate_signals([block, *(read() for _ in range(LEVEL_BLOCKS - 1))][SETTLING_BLOCKS:])
 
 
-def blocks_in(seconds: float, tool: Tool) -> int:
+def count_blocks(seconds: float, tool: Tool) -> int:
     return round(seconds * tool.board.sample_rate_hz / tool.board.block_samples)
 
 
-def joined(blocks: list[RawBlock]) -> Signals:
+def concatenate_signals(blocks: list[RawBlock]) -> RawSignals:
     """The signals of consecutive blocks as one stretch."""
 
     def of(name: str) -> np.ndarray:
         return np.concatenate([getattr(block, name) for block in blocks])
 
-    return Signals(of("strain_v"), of("motor_command_v"), (of("touch_1_v"), of("touch_2_v")), of("encoder_deg"))
+    return RawSignals(of("strain_v"), of("motor_command_v"), (of("touch_1_v"), of("touch_2_v")), of("encoder_deg"))
 
 
 @contextlib.contextmanager
-def zeroed_at_death(tool: Tool) -> Iterator[None]:
+def zero_on_process_death(tool: Tool) -> Iterator[None]:
     """Meanwhile a process of its own waits: should this one be killed, it resets the board, which holds its output."""
     if tool.kind is not ToolKind.NIDAQ:
         yield  # a simulated board is gone with the process
         return
     near, far = multiprocessing.Pipe()
-    watcher = multiprocessing.get_context("spawn").Process(target=_reset_when_gone, args=(tool, far))
+    watcher = multiprocessing.get_context("spawn").Process(target=_reset_on_broken_pipe, args=(tool, far))
     watcher.start()
     far.close()
     near.recv()
@@ -111,9 +112,9 @@ def zeroed_at_death(tool: Tool) -> Iterator[None]:
         watcher.join()
 
 
-def _reset_when_gone(tool: Tool, line: Connection) -> None:
+def _reset_on_broken_pipe(tool: Tool, line: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C is for the one who is watched
-    check_driver(tool)  # and with it connect, so that a reset is quick
+    read_driver_version(tool)  # and with it connect, so that a reset is quick
     line.send("watching")
     try:
         line.recv()

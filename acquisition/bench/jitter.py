@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from acquisition.bench.checks import lateness_ms
-from acquisition.bench.jaws import blocks_in
-from acquisition.control import Acquisition
-from acquisition.nidaq import NidaqTool
-from acquisition.process import take_realtime
+from acquisition.bench.jaws import count_blocks
+from acquisition.control import AcquisitionController
+from acquisition.nidaq import NidaqSource
+from acquisition.process import apply_realtime
 from config.errors import ToolError
-from config.schema import Realtime, Settings, TissueLibrary, Tool
+from config.schema import RealtimeSettings, Settings, TissueLibrary, Tool
 
 SETTLING_S = 1.0
-Opens = Callable[[Tool, TissueLibrary, str, int], tuple[NidaqTool, Any]]
+ToolOpener = Callable[[Tool, TissueLibrary, str, int], tuple[NidaqSource, Any]]
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99_9": 0.999, "longest": 1.0}
 
 
@@ -34,12 +34,12 @@ class Jitter:
     ended: str | None
 
 
-def measure(
-    open_tool: Opens,
+def measure_jitter(
+    open_tool: ToolOpener,
     tool: Tool,
     library: TissueLibrary,
     settings: Settings,
-    wanted: Realtime,
+    requested: RealtimeSettings,
     priority: int,
     seconds: float,
 ) -> Jitter:
@@ -50,7 +50,9 @@ def measure(
     """
     near, far = multiprocessing.Pipe()
     context = multiprocessing.get_context("spawn")
-    process = context.Process(target=_read, args=(open_tool, tool, library, settings, wanted, priority, seconds, far))
+    process = context.Process(
+        target=_measure_in_process, args=(open_tool, tool, library, settings, requested, priority, seconds, far)
+    )
     process.start()
     far.close()
     try:
@@ -63,28 +65,28 @@ def measure(
     return found
 
 
-def _read(
-    open_tool: Opens,
+def _measure_in_process(
+    open_tool: ToolOpener,
     tool: Tool,
     library: TissueLibrary,
     settings: Settings,
-    wanted: Realtime,
+    wanted: RealtimeSettings,
     priority: int,
     seconds: float,
     line: Connection,
 ) -> None:
     source, _ = open_tool(tool, library, next(iter(library.tissues)), 0)
-    most, blocks, ended = blocks_in(seconds, tool), 0, None
+    most, blocks, ended = count_blocks(seconds, tool), 0, None
     ticks, done_ns = np.empty(most), np.empty(most, np.int64)
     try:
         with source:
-            acquisition = Acquisition(source, tool, settings.conditioning)
-            granted = take_realtime(wanted, priority, place=0)
-            for _ in range(blocks_in(SETTLING_S, tool)):
-                acquisition.turn()
+            acquisition = AcquisitionController(source, tool, settings.conditioning)
+            granted = apply_realtime(wanted, priority, core_index=0)
+            for _ in range(count_blocks(SETTLING_S, tool)):
+                acquisition.process_block()
             while blocks < most:
                 granted.priority.renew()
-                block = acquisition.turn()
+                block = acquisition.process_block()
                 ticks[blocks], done_ns[blocks] = block.samples["tick"][-1], time.monotonic_ns()
                 blocks += 1
     except ToolError as error:
@@ -98,10 +100,12 @@ def _read(
 
 
 @contextmanager
-def load(on: bool) -> Iterator[None]:
+def cpu_load(on: bool) -> Iterator[None]:
     """Meanwhile, one program a core that only computes."""
     context = multiprocessing.get_context("spawn")
-    programs = [context.Process(target=_compute, daemon=True) for _ in range((os.cpu_count() or 1) if on else 0)]
+    programs = [
+        context.Process(target=_compute_forever, daemon=True) for _ in range((os.cpu_count() or 1) if on else 0)
+    ]
     for program in programs:
         program.start()
     try:
@@ -112,6 +116,6 @@ def load(on: bool) -> Iterator[None]:
             program.join()
 
 
-def _compute() -> None:
+def _compute_forever() -> None:
     while True:
         pass

@@ -6,21 +6,21 @@ import lz4.frame
 import zstandard
 from mcap.records import Chunk
 
-MOST_BYTES = 64 * 2**20  # a chunk of ours has less than one
-MOST_TIMES = 200  # a chunk of ours is packed to an eighth
-ALWAYS_BYTES = 2**20
+MAX_CHUNK_BYTES = 64 * 2**20  # a chunk of ours has less than one
+MAX_COMPRESSION_RATIO = 200  # a chunk of ours is packed to an eighth
+ALWAYS_ALLOWED_BYTES = 2**20
 
 
-def unpack(chunk: Chunk) -> bytes:
+def decompress_chunk(chunk: Chunk) -> bytes:
     """
     Raises:
         ValueError: it is damaged, packed in an unknown way, or would be far too large.
         ZstdError: it is damaged.
     """
-    most = min(MOST_BYTES, max(ALWAYS_BYTES, MOST_TIMES * len(chunk.data)))
+    most = min(MAX_CHUNK_BYTES, max(ALWAYS_ALLOWED_BYTES, MAX_COMPRESSION_RATIO * len(chunk.data)))
     if chunk.uncompressed_size > most:
         raise ValueError(f"{len(chunk.data)} bytes are said to become {chunk.uncompressed_size}")
-    data = _unpack(chunk, most)
+    data = _decompress(chunk, most)
     if len(data) > most:
         raise ValueError(f"{len(chunk.data)} bytes become more than {most}")
     if chunk.uncompressed_crc and chunk.uncompressed_crc != zlib.crc32(data):
@@ -28,7 +28,7 @@ def unpack(chunk: Chunk) -> bytes:
     return data
 
 
-def _unpack(chunk: Chunk, most: int) -> bytes:
+def _decompress(chunk: Chunk, most: int) -> bytes:
     match chunk.compression:
         case "zstd":
             if zstandard.frame_content_size(chunk.data) > most:  # else it would be believed, whatever the chunk says

@@ -19,14 +19,14 @@ from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord,
 from mcap.stream_reader import StreamReader
 from zstandard import ZstdError
 
-from acquisition.recordings.chunks import unpack
-from acquisition.recordings.layout import ABOUT, ENDED, FORMAT_VERSION, PROFILE
+from acquisition.recordings.chunks import decompress_chunk
+from acquisition.recordings.layout import END_METADATA_NAME, FORMAT_VERSION, METADATA_NAME, PROFILE
 from acquisition.recordings.rows import RowLayout
 from config.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_LIMIT_BYTES = 256 * 2**20  # a record of ours has a few; a damaged length must not ask for all memory
-MESSAGE_HEAD = np.dtype(
+MESSAGE_HEADER_DTYPE = np.dtype(
     [
         ("opcode", "u1"),
         ("length", "<u8"),
@@ -36,14 +36,19 @@ MESSAGE_HEAD = np.dtype(
         ("publish_ns", "<u8"),
     ]
 )
-_TAKEN = {Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment, Opcode.CHUNK: Chunk}
-_DECLARED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
-DAMAGE = (McapError, ZstdError, DecodeError, LookupError, ValueError, OverflowError, MemoryError, struct.error)
-ANOTHER_COPY = "Copy it again from where it was recorded."
+_READ_RECORD_TYPES = {
+    Opcode.HEADER: Header,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.CHUNK: Chunk,
+}
+_DECLARATION_TYPES = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+DAMAGE_ERRORS = (McapError, ZstdError, DecodeError, LookupError, ValueError, OverflowError, MemoryError, struct.error)
+COPY_AGAIN_TEXT = "Copy it again from where it was recorded."
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class RowBlock:
     """Consecutive rows of one topic: columns of shape (n,) by their path, the number of each row's block, its time."""
 
     topic: str
@@ -57,7 +62,7 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class JsonMessage:
     """One JSON message."""
 
     topic: str
@@ -66,7 +71,7 @@ class Told:
 
 
 @dataclass(slots=True)
-class _Channels:
+class _ChannelRegistry:
     """What was declared so far: a file declares everything before it uses it."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -80,10 +85,10 @@ class _Channels:
             self.topics[record.id] = record.topic
             if record.message_encoding == "protobuf":
                 schema = self.schemas[record.schema_id]
-                self.layouts[record.id] = RowLayout.of_schema(schema.name, schema.data)
+                self.layouts[record.id] = RowLayout.from_schema(schema.name, schema.data)
 
 
-class Container:
+class McapFile:
     """An MCAP file of ours. `about` and `attachments` are read at once, everything else when it is asked for."""
 
     def __init__(self, path: Path) -> None:
@@ -92,37 +97,37 @@ class Container:
             RecordingError: it cannot be read, is no MCAP file, not one of ours, or of a later format.
         """
         self.path = path
-        self.about: dict[str, str] = {}
-        self.ended: dict[str, str] = {}
+        self.metadata: dict[str, str] = {}
+        self.end_metadata: dict[str, str] = {}
         self.attachments: dict[str, bytes] = {}
         self.message_counts: dict[str, int] = {}
         profile = ""
-        for record in self.records():
+        for record in self.iter_records():
             match record:
                 case Header():
                     profile = record.profile
-                case Metadata() if record.name == ABOUT:
-                    self.about = record.metadata
+                case Metadata() if record.name == METADATA_NAME:
+                    self.metadata = record.metadata
                 case Attachment():
                     self.attachments[record.name] = record.data
                 case Chunk():
                     break
-        self._check(profile)
+        self._check_profile(profile)
         self.complete = self._read_end()
 
-    def _check(self, profile: str) -> None:
+    def _check_profile(self, profile: str) -> None:
         if profile != PROFILE:
             what = f"its profile is {profile!r}" if profile else "it names no profile"
             raise RecordingError(f"{self.path}: is an MCAP file, but no recording of Graspwatch ({what}).")
-        version = self.about.get("format_version", "")
+        version = self.metadata.get("format_version", "")
         known = version.isdecimal() and len(version) < 10
         if known and int(version) > FORMAT_VERSION:
             raise RecordingError(
-                f"{self.path}: was recorded by a later Graspwatch ({self.about.get('graspwatch', '?')}, format "
+                f"{self.path}: was recorded by a later Graspwatch ({self.metadata.get('graspwatch', '?')}, format "
                 f"{version}; this one reads up to {FORMAT_VERSION}). Update Graspwatch."
             )
         if not known:
-            raise RecordingError(f"{self.path}: holds no description of what was recorded. {ANOTHER_COPY}")
+            raise RecordingError(f"{self.path}: holds no description of what was recorded. {COPY_AGAIN_TEXT}")
 
     def _read_end(self) -> bool:
         """Take the summary; False where the file was cut off before it was written."""
@@ -137,8 +142,8 @@ class Container:
                     return False
                 file.seek(summary_start)
                 self._read_summary(file)
-        except (OSError, *DAMAGE) as error:
-            raise RecordingError(f"{self.path}: its end is damaged ({error}). {ANOTHER_COPY}") from None
+        except (OSError, *DAMAGE_ERRORS) as error:
+            raise RecordingError(f"{self.path}: its end is damaged ({error}). {COPY_AGAIN_TEXT}") from None
         return True
 
     def _read_summary(self, file: BinaryIO) -> None:
@@ -151,7 +156,7 @@ class Container:
                 case Statistics():
                     counts = record.channel_message_counts
                     self.message_counts = {topic: counts.get(channel, 0) for channel, topic in topics.items()}
-                case _ if getattr(record, "name", "") == ENDED:
+                case _ if getattr(record, "name", "") == END_METADATA_NAME:
                     ended_at = record.offset
                 case Footer():
                     break
@@ -160,9 +165,9 @@ class Container:
             record = next(iter(StreamReader(file, skip_magic=True, record_size_limit=RECORD_LIMIT_BYTES).records), None)
             if not isinstance(record, Metadata):
                 raise ValueError("it names a place where nothing is")
-            self.ended = record.metadata
+            self.end_metadata = record.metadata
 
-    def records(self) -> Iterator[McapRecord]:
+    def iter_records(self) -> Iterator[McapRecord]:
         """All records in their order, to the file's end or to where it was cut off.
 
         Raises:
@@ -173,44 +178,44 @@ class Container:
                 magic = file.read(len(MAGIC))
                 if magic != MAGIC:
                     what = "is no MCAP file" if magic else "is empty"
-                    raise RecordingError(f"{self.path}: {what}. {ANOTHER_COPY}")
-                yield from _records(file)
+                    raise RecordingError(f"{self.path}: {what}. {COPY_AGAIN_TEXT}")
+                yield from _iter_records(file)
         except FileNotFoundError:
             raise RecordingError(f"{self.path}: there is no such file. Check the path.") from None
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read ({error.strerror}).") from None
-        except DAMAGE as error:
-            raise RecordingError(f"{self.path}: is damaged ({error}). {ANOTHER_COPY}") from None
+        except DAMAGE_ERRORS as error:
+            raise RecordingError(f"{self.path}: is damaged ({error}). {COPY_AGAIN_TEXT}") from None
 
-    def read(self, *topics: str) -> Iterator[Rows | Told]:
+    def iter_content(self, *topics: str) -> Iterator[RowBlock | JsonMessage]:
         """What stands in the file under these topics, in the order in which it was written, of every whole chunk.
 
         Raises:
             RecordingError: the file is damaged; names the place.
         """
         wanted = set(topics)
-        channels = _Channels()
-        for number, record in enumerate(record for record in self.records() if isinstance(record, Chunk)):
+        channels = _ChannelRegistry()
+        for number, record in enumerate(record for record in self.iter_records() if isinstance(record, Chunk)):
             try:
-                yield from _in_chunk(unpack(record), channels, wanted)
-            except DAMAGE as error:
+                yield from _iter_chunk_content(decompress_chunk(record), channels, wanted)
+            except DAMAGE_ERRORS as error:
                 raise RecordingError(
-                    f"{self.path}: piece {number + 1} of its samples is damaged ({error}). {ANOTHER_COPY}"
+                    f"{self.path}: piece {number + 1} of its samples is damaged ({error}). {COPY_AGAIN_TEXT}"
                 ) from None
 
-    def rows(self, topic: str) -> Rows:
+    def read_rows(self, topic: str) -> RowBlock:
         """All rows of one topic.
 
         Raises:
             RecordingError: the file is damaged, or holds none.
         """
-        pieces = [piece for piece in self.read(topic) if isinstance(piece, Rows)]
+        pieces = [piece for piece in self.iter_content(topic) if isinstance(piece, RowBlock)]
         if not pieces:
             raise RecordingError(f"{self.path}: holds no samples ({topic}): it was cut off before the first second.")
-        return joined(pieces)
+        return concatenate_rows(pieces)
 
 
-def _records(file: BinaryIO) -> Iterator[McapRecord]:
+def _iter_records(file: BinaryIO) -> Iterator[McapRecord]:
     """The records from here on that are of any use, to the footer or to where the file was cut off.
 
     The package's own reader takes the message indexes apart, too, number by number: half of the time of a replay.
@@ -221,33 +226,33 @@ def _records(file: BinaryIO) -> Iterator[McapRecord]:
             raise ValueError(f"a record of {length} bytes")
         if opcode == Opcode.FOOTER:
             return
-        if opcode not in _TAKEN:
+        if opcode not in _READ_RECORD_TYPES:
             file.seek(length, 1)
             continue
         content = file.read(length)
         if len(content) < length:
             return
-        yield _TAKEN[opcode].read(ReadDataStream(BytesIO(content)))
+        yield _READ_RECORD_TYPES[opcode].read(ReadDataStream(BytesIO(content)))
 
 
-def joined(pieces: list[Rows]) -> Rows:
+def concatenate_rows(pieces: list[RowBlock]) -> RowBlock:
     """Rows of one topic, one after the other."""
     columns = {name: np.concatenate([each.columns[name] for each in pieces]) for name in pieces[0].columns}
     others = [np.concatenate([getattr(each, name) for each in pieces]) for name in ("sequence", "log_ns", "publish_ns")]
-    return Rows(pieces[0].topic, columns, *others)
+    return RowBlock(pieces[0].topic, columns, *others)
 
 
-def _in_chunk(data: bytes, channels: _Channels, wanted: set[str]) -> Iterator[Rows | Told]:
+def _iter_chunk_content(data: bytes, channels: _ChannelRegistry, wanted: set[str]) -> Iterator[RowBlock | JsonMessage]:
     """The wanted content of a chunk; declarations in it are noted."""
-    at, head_bytes = 0, MESSAGE_HEAD.itemsize
+    at, head_bytes = 0, MESSAGE_HEADER_DTYPE.itemsize
     while at < len(data):
         opcode, length = struct.unpack_from("<BQ", data, at)
         end = at + 9 + length
         if end > len(data):
             raise ValueError("a record goes beyond its end")
         if opcode != Opcode.MESSAGE:
-            if opcode in _DECLARED:
-                channels.declare(_DECLARED[opcode].read(ReadDataStream(BytesIO(data[at + 9 : end]))))
+            if opcode in _DECLARATION_TYPES:
+                channels.declare(_DECLARATION_TYPES[opcode].read(ReadDataStream(BytesIO(data[at + 9 : end]))))
             at = end
             continue
         channel = int.from_bytes(data[at + 9 : at + 11], "little")
@@ -255,11 +260,11 @@ def _in_chunk(data: bytes, channels: _Channels, wanted: set[str]) -> Iterator[Ro
         topic = channels.topics[channel]
         if layout is None:
             if topic in wanted:
-                message = np.frombuffer(data, MESSAGE_HEAD, 1, at)[0]
-                yield Told(topic, int(message["log_ns"]), data[at + head_bytes : end])
+                message = np.frombuffer(data, MESSAGE_HEADER_DTYPE, 1, at)[0]
+                yield JsonMessage(topic, int(message["log_ns"]), data[at + head_bytes : end])
             at = end
             continue
-        rows = np.frombuffer(data, _record(layout), (len(data) - at) // (end - at), at)
+        rows = np.frombuffer(data, _message_dtype(layout), (len(data) - at) // (end - at), at)
         head = rows["head"]
         alike = (head["opcode"] == opcode) & (head["length"] == length) & (head["channel"] == channel)
         count = len(rows) if alike.all() else int(np.argmin(alike))
@@ -268,10 +273,10 @@ def _in_chunk(data: bytes, channels: _Channels, wanted: set[str]) -> Iterator[Ro
         if topic in wanted:
             rows, head = rows[:count], head[:count]
             columns = layout.decode(rows["row"].tobytes())
-            yield Rows(topic, columns, *(head[name].copy() for name in ("sequence", "log_ns", "publish_ns")))
+            yield RowBlock(topic, columns, *(head[name].copy() for name in ("sequence", "log_ns", "publish_ns")))
         at += count * (end - at)
 
 
-def _record(layout: RowLayout) -> np.dtype:
+def _message_dtype(layout: RowLayout) -> np.dtype:
     """A message record: its head and a row."""
-    return np.dtype([("head", MESSAGE_HEAD), ("row", f"V{layout.row_bytes}")])
+    return np.dtype([("head", MESSAGE_HEADER_DTYPE), ("row", f"V{layout.row_bytes}")])

@@ -5,34 +5,43 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from acquisition.blocks import SAMPLE, Flag, SampleBlock
+from acquisition.blocks import SAMPLE_DTYPE, SampleBlock, SampleFlag
 from acquisition.recordings.rows import Column, RowLayout
 
 PROFILE = "graspwatch"
 FORMAT_VERSION = 1
-ABOUT = "graspwatch"  # the metadata record that says what was recorded
-ENDED = "graspwatch_end"  # the one that says how it ended; a file that was cut off has none
-TOOL, LIBRARY, SETTINGS, PROTOCOL, VERSIONS = "tool.json", "library.json", "settings.json", "protocol.json", "versions"
+METADATA_NAME = "graspwatch"  # the metadata record that says what was recorded
+END_METADATA_NAME = "graspwatch_end"  # the one that says how it ended; a file that was cut off has none
+TOOL_ATTACHMENT, LIBRARY_ATTACHMENT, SETTINGS_ATTACHMENT, PROTOCOL_ATTACHMENT, VERSIONS_METADATA_NAME = (
+    "tool.json",
+    "library.json",
+    "settings.json",
+    "protocol.json",
+    "versions",
+)
 
-RAW, CONDITIONED, ESTIMATES = "/raw", "/conditioned", "/estimates"
+RAW_TOPIC, CONDITIONED_TOPIC, ESTIMATES_TOPIC = "/raw", "/conditioned", "/estimates"
 
-SIGNALS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
-LIMITER_FLAGS = Flag.HELD_BACK | Flag.LET_GO  # what the acquisition's limiter did is no function of the signals
-LIMIT = "limit_n"  # nor is what it enforced; files of older versions do not say it
+SIGNAL_COLUMNS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
+LIMITER_FLAGS = (
+    SampleFlag.LIMITED | SampleFlag.RELEASED
+)  # what the acquisition's limiter did is no function of the signals
+LIMIT_COLUMN = "limit_n"  # nor is what it enforced; files of older versions do not say it
 
-RAW_ROWS = RowLayout(
+RAW_LAYOUT = RowLayout(
     "Raw",
     [
         Column("tick", "i8"),
-        *(Column(name) for name in SIGNALS),
+        *(Column(name) for name in SIGNAL_COLUMNS),
         Column("limiter_flags", "u4"),
         Column("lost_samples", "u4"),
-        Column(LIMIT),
+        Column(LIMIT_COLUMN),
     ],
 )
-CONDITIONED_NAMES = tuple(name for name in SAMPLE.names if name not in (*SIGNALS, LIMIT))
-CONDITIONED_ROWS = RowLayout(
-    "Conditioned", [Column(name, "u4" if name == "flags" else SAMPLE[name].str[1:]) for name in CONDITIONED_NAMES]
+CONDITIONED_COLUMNS = tuple(name for name in SAMPLE_DTYPE.names if name not in (*SIGNAL_COLUMNS, LIMIT_COLUMN))
+CONDITIONED_LAYOUT = RowLayout(
+    "Conditioned",
+    [Column(name, "u4" if name == "flags" else SAMPLE_DTYPE[name].str[1:]) for name in CONDITIONED_COLUMNS],
 )
 
 
@@ -43,20 +52,20 @@ def raw_columns(block: SampleBlock) -> dict[str, np.ndarray]:
     lost_samples[0] = block.lost_samples
     flags = samples["flags"] & np.uint16(LIMITER_FLAGS)
     of_limiter = {"limiter_flags": flags, "lost_samples": lost_samples}
-    return {name: samples[name] for name in ("tick", *SIGNALS, LIMIT)} | of_limiter
+    return {name: samples[name] for name in ("tick", *SIGNAL_COLUMNS, LIMIT_COLUMN)} | of_limiter
 
 
 def conditioned_columns(block: SampleBlock) -> Mapping[str, np.ndarray]:
     """The columns of `CONDITIONED_ROWS`."""
-    return {name: block.samples[name] for name in CONDITIONED_NAMES}
+    return {name: block.samples[name] for name in CONDITIONED_COLUMNS}
 
 
-def samples_of(raw: Mapping[str, np.ndarray], conditioned: Mapping[str, np.ndarray]) -> np.ndarray:
+def from_columns(raw: Mapping[str, np.ndarray], conditioned: Mapping[str, np.ndarray]) -> np.ndarray:
     """The samples, dtype SAMPLE, that both kinds of rows were made of; no limit where the rows do not say it."""
-    samples = np.empty(len(raw["tick"]), SAMPLE)
-    for name in SIGNALS:
+    samples = np.empty(len(raw["tick"]), SAMPLE_DTYPE)
+    for name in SIGNAL_COLUMNS:
         samples[name] = raw[name]
-    samples[LIMIT] = raw.get(LIMIT, math.nan)
-    for name in CONDITIONED_NAMES:
+    samples[LIMIT_COLUMN] = raw.get(LIMIT_COLUMN, math.nan)
+    for name in CONDITIONED_COLUMNS:
         samples[name] = conditioned[name]
     return samples

@@ -14,11 +14,11 @@ from config.schema import Tool
 
 HEADER_LINES = 40  # at most, of the first part
 END_OF_HEADER = "***End_of_Header***"
-LONGEST_S = 86_400.0  # from one sample to the next: more is a wrong number
-MOST_BYTES = 256 * 2**20  # of text, over an hour
-MOST_LINES = 5_000_000  # each takes many times its length in memory
+MAX_TIME_STEP_S = 86_400.0  # from one sample to the next: more is a wrong number
+MAX_TEXT_BYTES = 256 * 2**20  # of text, over an hour
+MAX_LINES = 5_000_000  # each takes many times its length in memory
 LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"  # all at which Python splits lines
-ENCODER_HEADER = "Untitled"  # the lab's name for the counter channel
+ENCODER_COLUMN = "Untitled"  # the lab's name for the counter channel
 
 
 def read_lvm(path: Path, tool: Tool) -> np.ndarray:
@@ -31,7 +31,7 @@ def read_lvm(path: Path, tool: Tool) -> np.ndarray:
         RecordingError: missing, not such a file, wrong columns, a bad line, or a gap in time; names file and line.
     """
     lines = _read_lines(path)
-    headings_at = _find_headings(path, lines)
+    headings_at = _find_column_names(path, lines)
     columns = _find_columns(path, lines[headings_at], headings_at + 1, tool)
     rows = [(number, line) for number, line in enumerate(lines[headings_at + 1 :], headings_at + 2) if line.strip()]
     body = [line for _, line in rows]
@@ -40,14 +40,14 @@ def read_lvm(path: Path, tool: Tool) -> np.ndarray:
     try:
         table = np.loadtxt(io.StringIO("\n".join(body)), delimiter="\t", usecols=columns, ndmin=2, comments=None)
     except ValueError:
-        raise RecordingError(_first_bad_line(path, lines, headings_at, columns)) from None
+        raise RecordingError(_describe_first_bad_line(path, lines, headings_at, columns)) from None
     if not np.isfinite(table).all():
-        raise RecordingError(_first_bad_line(path, lines, headings_at, columns))
+        raise RecordingError(_describe_first_bad_line(path, lines, headings_at, columns))
     _check_time(path, table[:, 0], [number for number, _ in rows], tool.board.sample_rate_hz)
     return table
 
 
-def started_at(path: Path) -> datetime | None:
+def read_start_time(path: Path) -> datetime | None:
     """When a LabVIEW measurement was begun, by that computer's clock, whose zone the file does not say; None if it does
     not say when.
 
@@ -69,12 +69,12 @@ def started_at(path: Path) -> datetime | None:
 def _read_lines(path: Path) -> list[str]:
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-        if len(content) > MOST_BYTES:
-            raise RecordingError(f"{path}: holds more than {MOST_BYTES // 2**20} MiB of text. Split it.")
+            content = file.read(MAX_TEXT_BYTES + 1)
+        if len(content) > MAX_TEXT_BYTES:
+            raise RecordingError(f"{path}: holds more than {MAX_TEXT_BYTES // 2**20} MiB of text. Split it.")
         text = _decode(path, content)
-        if sum(map(text.count, LINE_ENDS)) > MOST_LINES:
-            raise RecordingError(f"{path}: holds more than {MOST_LINES} lines. Split it.")
+        if sum(map(text.count, LINE_ENDS)) > MAX_LINES:
+            raise RecordingError(f"{path}: holds more than {MAX_LINES} lines. Split it.")
     except FileNotFoundError:
         raise RecordingError(f"{path}: there is no such file. Check the path.") from None
     except EOFError:
@@ -86,7 +86,7 @@ def _read_lines(path: Path) -> list[str]:
     if not text.strip():
         raise RecordingError(f"{path}: is empty; expected a LabVIEW measurement file.")
     lines = text.splitlines()
-    if not text.endswith("\n") and _is_cut(lines):
+    if not text.endswith("\n") and _is_truncated(lines):
         raise RecordingError(
             f"{path}, line {len(lines)}: the file is cut off in its last number. Copy it again, or delete the line."
         )
@@ -105,7 +105,7 @@ def _decode(path: Path, content: bytes) -> str:
         raise RecordingError(f"{path}, line {line}: is binary; expected a LabVIEW measurement file (text).") from None
 
 
-def _is_cut(lines: list[str]) -> bool:
+def _is_truncated(lines: list[str]) -> bool:
     """Whether the last line has all its columns but its last number fewer decimals than the one above."""
     if len(lines) < 2:
         return False
@@ -113,7 +113,7 @@ def _is_cut(lines: list[str]) -> bool:
     return len(last) == len(above) and len(last[-1].partition(".")[2]) < len(above[-1].partition(".")[2])
 
 
-def _find_headings(path: Path, lines: list[str]) -> int:
+def _find_column_names(path: Path, lines: list[str]) -> int:
     """Index of the line with the column names: the one after the second end of header."""
     if not lines[0].startswith("LabVIEW Measurement"):
         raise RecordingError(f"{path}, line 1: expected 'LabVIEW Measurement', found {lines[0][:40]!r}.")
@@ -135,7 +135,7 @@ def _find_columns(path: Path, headings: str, line: int, tool: Tool) -> list[int]
     names = headings.split("\t")
     channels, device = tool.channels, tool.board.device
     analog = [channels.strain, channels.motor_command_readback, *channels.touch]
-    wanted = ["X_Value", *(f"{device}/{channel}" for channel in analog), ENCODER_HEADER]
+    wanted = ["X_Value", *(f"{device}/{channel}" for channel in analog), ENCODER_COLUMN]
     missing = [name for name in wanted if name not in names]
     if missing:
         raise RecordingError(
@@ -145,7 +145,7 @@ def _find_columns(path: Path, headings: str, line: int, tool: Tool) -> list[int]
     return [names.index(name) for name in wanted]
 
 
-def _first_bad_line(path: Path, lines: list[str], headings_at: int, columns: list[int]) -> str:
+def _describe_first_bad_line(path: Path, lines: list[str], headings_at: int, columns: list[int]) -> str:
     for i, line in enumerate(lines[headings_at + 1 :], headings_at + 2):
         if not line.strip():
             continue
@@ -176,7 +176,9 @@ def _check_time(path: Path, time_s: np.ndarray, line_numbers: list[int], rate_hz
             f"{rate_hz:.0f}. Name the tool file that belongs to it with --tool."
         )
     with np.errstate(invalid="ignore"):
-        bad = np.flatnonzero(~(np.abs(steps - np.round(steps)) <= 0.01) | (steps < 0.5) | (steps > LONGEST_S * rate_hz))
+        bad = np.flatnonzero(
+            ~(np.abs(steps - np.round(steps)) <= 0.01) | (steps < 0.5) | (steps > MAX_TIME_STEP_S * rate_hz)
+        )
     if len(bad):
         raise RecordingError(
             f"{path}, line {line_numbers[bad[0] + 1]}: time goes from {time_s[bad[0]]:.6f} to "

@@ -14,13 +14,13 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 
 PACKAGE = "graspwatch"
 _FIXED32, _FIXED64, _GROUP = 5, 1, 2  # wire types
-_WIRE = {
+_WIRE_TYPES = {
     "<f8": (FieldDescriptorProto.TYPE_DOUBLE, _FIXED64),
     "<i8": (FieldDescriptorProto.TYPE_SFIXED64, _FIXED64),
     "<u4": (FieldDescriptorProto.TYPE_FIXED32, _FIXED32),
 }
-_DTYPE = {field_type: dtype for dtype, (field_type, _) in _WIRE.items()}
-TAG = "tag_"
+_DTYPES = {field_type: dtype for dtype, (field_type, _) in _WIRE_TYPES.items()}
+TAG_PREFIX = "tag_"
 
 Columns = Mapping[str, np.ndarray]
 
@@ -30,7 +30,7 @@ class Column:
     """One number of a row; `kind` is `f8`, `i8` or `u4`. With `group`, it stands in a message of that name inside."""
 
     name: str
-    kind: str = "f8"
+    type_code: str = "f8"
     group: str = ""
 
     @property
@@ -46,12 +46,12 @@ class RowLayout:
         self.name, self.columns = name, tuple(columns)
         file = FileDescriptorProto(name=f"{PACKAGE}/{name.lower()}.proto", package=PACKAGE, syntax="proto3")
         message = file.message_type.add(name=name)
-        self._dtype, template = _lay_out(self.columns, message)
+        self._dtype, template = _build_layout(self.columns, message)
         self._template = template.view(self._dtype)[0]
         self.descriptor_set = FileDescriptorSet(file=[file]).SerializeToString()
 
     @classmethod
-    def of_schema(cls, name: str, descriptor_set: bytes) -> Self:
+    def from_schema(cls, name: str, descriptor_set: bytes) -> Self:
         """The layout of messages that were written with this schema.
 
         Raises:
@@ -63,9 +63,9 @@ class RowLayout:
         for field in message.field:
             if field.type == FieldDescriptorProto.TYPE_MESSAGE:
                 nested = inner[field.type_name.rpartition(".")[2]]
-                columns += [Column(each.name, _DTYPE[each.type][1:], field.name) for each in nested.field]
+                columns += [Column(each.name, _DTYPES[each.type][1:], field.name) for each in nested.field]
             else:
-                columns.append(Column(field.name, _DTYPE[field.type][1:]))
+                columns.append(Column(field.name, _DTYPES[field.type][1:]))
         layout = cls(name.removeprefix(f"{PACKAGE}."), columns)
         if layout.descriptor_set != descriptor_set:
             raise ValueError(f"{name}: not a schema of rows of fixed layout")
@@ -94,12 +94,12 @@ class RowLayout:
         """
         rows = np.frombuffer(data, self._dtype)
         for name in self._dtype.names or ():
-            if name.startswith(TAG) and (rows[name] != self._template[name]).any():
+            if name.startswith(TAG_PREFIX) and (rows[name] != self._template[name]).any():
                 raise ValueError(f"{self.name}: a message has another layout than its schema says")
         return {column.path: rows[column.path] for column in self.columns}
 
 
-def _lay_out(columns: tuple[Column, ...], message: DescriptorProto) -> tuple[np.dtype, np.ndarray]:
+def _build_layout(columns: tuple[Column, ...], message: DescriptorProto) -> tuple[np.dtype, np.ndarray]:
     """How a row lies in memory, and one with all tags and no values; fills the schema of `message`."""
     fields: list[tuple[str, str]] = []
     template = b""
@@ -109,21 +109,23 @@ def _lay_out(columns: tuple[Column, ...], message: DescriptorProto) -> tuple[np.
         if column.group:
             if column.group not in groups:
                 inner = [each for each in columns if each.group == column.group]
-                head = _head(message, column.group, sum(_size(each, n) for n, each in enumerate(inner, 1)))
-                fields.append((f"{TAG}{column.group}", f"V{len(head)}"))
+                head = _declare_submessage(
+                    message, column.group, sum(_compute_encoded_size(each, n) for n, each in enumerate(inner, 1))
+                )
+                fields.append((f"{TAG_PREFIX}{column.group}", f"V{len(head)}"))
                 template += head
                 groups[column.group] = message.nested_type[-1]
             owner = groups[column.group]
-        field_type, wire_type = _WIRE[f"<{column.kind}"]
+        field_type, wire_type = _WIRE_TYPES[f"<{column.type_code}"]
         number = len(owner.field) + 1
-        tag = _varint(number << 3 | wire_type)
+        tag = _encode_varint(number << 3 | wire_type)
         owner.field.add(name=column.name, number=number, type=field_type, label=FieldDescriptorProto.LABEL_OPTIONAL)
-        fields += [(f"{TAG}{column.path}", f"V{len(tag)}"), (column.path, f"<{column.kind}")]
-        template += tag + bytes(np.dtype(column.kind).itemsize)
+        fields += [(f"{TAG_PREFIX}{column.path}", f"V{len(tag)}"), (column.path, f"<{column.type_code}")]
+        template += tag + bytes(np.dtype(column.type_code).itemsize)
     return np.dtype(fields), np.frombuffer(template, np.uint8)
 
 
-def _head(message: DescriptorProto, group: str, size: int) -> bytes:
+def _declare_submessage(message: DescriptorProto, group: str, size: int) -> bytes:
     """Declare a message inside `message`; returns its tag and length."""
     kind = "".join(part.capitalize() for part in group.split("_"))
     message.nested_type.add(name=kind)
@@ -135,14 +137,14 @@ def _head(message: DescriptorProto, group: str, size: int) -> bytes:
         type_name=f".{PACKAGE}.{message.name}.{kind}",
         label=FieldDescriptorProto.LABEL_OPTIONAL,
     )
-    return _varint(number << 3 | _GROUP) + _varint(size)
+    return _encode_varint(number << 3 | _GROUP) + _encode_varint(size)
 
 
-def _size(column: Column, number: int) -> int:
-    return len(_varint(number << 3)) + np.dtype(column.kind).itemsize
+def _compute_encoded_size(column: Column, number: int) -> int:
+    return len(_encode_varint(number << 3)) + np.dtype(column.type_code).itemsize
 
 
-def _varint(value: int) -> bytes:
+def _encode_varint(value: int) -> bytes:
     encoded = bytearray()
     while value > 0x7F:
         encoded.append(value & 0x7F | 0x80)

@@ -52,7 +52,7 @@ class Plant(Protocol):
 
 
 @runtime_checkable
-class Miswired(Protocol):
+class PlantWithReadback(Protocol):
     """A plant that also says what the board reads of its own output, V; it needs not."""
 
     def readback_v(self, command_v: float) -> float: ...
@@ -66,13 +66,13 @@ class BoardError(Exception):
         self.code = code
 
 
-class Kind(Enum):
+class ChannelKind(Enum):
     ANALOG_IN = auto()
     ENCODER = auto()
     ANALOG_OUT = auto()
 
 
-class State(Enum):
+class TaskState(Enum):
     STOPPED = auto()
     RUNNING = auto()
     OVERRUN = auto()
@@ -81,11 +81,11 @@ class State(Enum):
 Sample = tuple[float, float, float, float, float]  # strain, readback, touch 1, touch 2 in V; encoder in deg
 
 
-class Output(NamedTuple):
+class OutputChange(NamedTuple):
     """A change of the motor command output: when, at which sample since the start, to what."""
 
     at_ns: int
-    sample: int
+    sample_index: int
     volts: float
 
 
@@ -94,17 +94,17 @@ class Task:
     """One DAQmx task; `samples` are those that nobody has read yet."""
 
     name: str
-    kind: Kind | None = None
+    kind: ChannelKind | None = None
     channels: list[str] = field(default_factory=list)
-    columns: list[int] = field(default_factory=list)
+    column_indices: list[int] = field(default_factory=list)
     rate_hz: float = 0.0
     clock_source: str = ""
     arm_trigger: str = ""
     degrees_per_count: float = 0.0
     output_range_v: tuple[float, float] = (0.0, 0.0)
-    state: State = State.STOPPED
-    armed: bool = False
-    samples: deque[Sample] = field(default_factory=deque)
+    state: TaskState = TaskState.STOPPED
+    clocked: bool = False
+    unread_samples: deque[Sample] = field(default_factory=deque)
 
 
 class SimulatedBoard:
@@ -117,30 +117,34 @@ class SimulatedBoard:
         """`buffer_samples` defaults to what DAQmx allots at 1 kHz, 10 s."""
         self.clock: Clock = clock or RealClock()
         self._plant = plant
-        self._readback_of = plant.readback_v if isinstance(plant, Miswired) else float
+        self._compute_readback_v = plant.readback_v if isinstance(plant, PlantWithReadback) else float
         self._device, self.product = tool.board.device, tool.board.product
         self._buffer_samples = buffer_samples
         self._encoder_resolution_deg = tool.calibration.encoder_resolution_deg
         wired = tool.channels
-        self._wired = {
-            Kind.ANALOG_IN: (wired.strain, wired.motor_command_readback, *wired.touch),  # in the order of a Sample
-            Kind.ENCODER: (wired.encoder,),
-            Kind.ANALOG_OUT: (wired.motor_command,),
+        self._channels = {
+            ChannelKind.ANALOG_IN: (
+                wired.strain,
+                wired.motor_command_readback,
+                *wired.touch,
+            ),  # in the order of a Sample
+            ChannelKind.ENCODER: (wired.encoder,),
+            ChannelKind.ANALOG_OUT: (wired.motor_command,),
         }
         self._analog_clock = f"/{self._device}/ai/SampleClock"
         self._analog_start = f"/{self._device}/ai/StartTrigger"
         self._lock = threading.RLock()
         self._tasks: dict[str, Task] = {}
-        self._names = 0
+        self._task_count = 0
         self._output_v = 0.0
-        self._sampling: Task | None = None  # the analog input task, whose clock is everybody's
+        self._clock_task: Task | None = None  # the analog input task, whose clock is everybody's
         self._started_ns = 0
         self._period_ns = 0
-        self._produced = 0
+        self._sample_count = 0
         self._clock_edges_left: float = math.inf
-        self._mute_until_ns = self._late_until_ns = 0.0
-        self._error: BoardError | None = None
-        self.outputs: deque[Output] = deque(maxlen=100_000)
+        self._disconnected_until_ns = self._delayed_until_ns = 0.0
+        self._injected_error: BoardError | None = None
+        self.output_changes: deque[OutputChange] = deque(maxlen=100_000)
 
     @property
     def output_v(self) -> float:
@@ -151,9 +155,9 @@ class SimulatedBoard:
 
     def create_task(self, name: str) -> str:
         with self._lock:
-            self._check_present()
-            self._names += 1
-            name = name or f"_unnamedTask<{self._names}>"
+            self._check_connected()
+            self._task_count += 1
+            name = name or f"_unnamedTask<{self._task_count}>"
             if name in self._tasks:
                 raise BoardError(DAQmxErrors.DUPLICATE_TASK, f"Task {name} exists already.")
             self._tasks[name] = Task(name)
@@ -165,21 +169,21 @@ class SimulatedBoard:
             raise BoardError(DAQmxErrors.INVALID_TASK, f"Task {name} does not exist.")
         return task
 
-    def add_channel(self, name: str, kind: Kind, physical: str) -> Task:
+    def add_channel(self, name: str, kind: ChannelKind, physical: str) -> Task:
         """Add `physical`, e.g. `Dev1/ai0`, to the task and return the task."""
         device, _, channel = physical.partition("/")
         self.check_device(device)
-        if channel not in self._wired[kind]:
+        if channel not in self._channels[kind]:
             raise BoardError(DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST, f"Physical channel does not exist: {physical}")
         task = self.task(name)
         task.kind = kind
         task.channels.append(physical)
-        task.columns.append(self._wired[kind].index(channel))
+        task.column_indices.append(self._channels[kind].index(channel))
         return task
 
-    def channels_of(self, kind: Kind) -> tuple[str, ...]:
+    def channel_names(self, kind: ChannelKind) -> tuple[str, ...]:
         """Names of its physical channels, without the device's."""
-        return self._wired[kind]
+        return self._channels[kind]
 
     def check_device(self, device: str) -> None:
         if device != self._device:
@@ -190,23 +194,23 @@ class SimulatedBoard:
             task = self.task(name)
             if task.kind is None:
                 raise BoardError(DAQmxErrors.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, f"Task {name} has no channels.")
-            if any(other.kind is task.kind and other.state is State.RUNNING for other in self._tasks.values()):
+            if any(other.kind is task.kind and other.state is TaskState.RUNNING for other in self._tasks.values()):
                 raise BoardError(DAQmxErrors.PAL_RESOURCE_RESERVED, "The specified resource is reserved.")
-            self._advance()
-            task.samples.clear()
-            task.state = State.RUNNING
-            if task.kind is Kind.ANALOG_IN:
+            self._simulate_until_now()
+            task.unread_samples.clear()
+            task.state = TaskState.RUNNING
+            if task.kind is ChannelKind.ANALOG_IN:
                 self._start_sample_clock(task)
             else:
                 # without the analog clock it is never sampled; a start trigger that has passed does not come again
-                task.armed = task.clock_source == self._analog_clock and not task.arm_trigger
+                task.clocked = task.clock_source == self._analog_clock and not task.arm_trigger
 
     def stop_task(self, name: str) -> None:
         with self._lock:
-            self._advance()
+            self._simulate_until_now()
             task = self.task(name)
-            task.state = State.STOPPED
-            task.armed = False
+            task.state = TaskState.STOPPED
+            task.clocked = False
 
     def clear_task(self, name: str) -> None:
         with self._lock:
@@ -217,48 +221,48 @@ class SimulatedBoard:
         """Abort all tasks and put the output to 0 V."""
         self.check_device(device)
         with self._lock:
-            self._check_present()
-            self._advance()
+            self._check_connected()
+            self._simulate_until_now()
             for task in self._tasks.values():
-                task.state = State.STOPPED
-            self._put_out(0.0)
+                task.state = TaskState.STOPPED
+            self._set_output(0.0)
             self._clock_edges_left = math.inf
 
-    def _put_out(self, volts: float) -> None:
+    def _set_output(self, volts: float) -> None:
         if volts != self._output_v:
             self._output_v = volts
-            self.outputs.append(Output(self.clock.now_ns(), self._produced, volts))
+            self.output_changes.append(OutputChange(self.clock.now_ns(), self._sample_count, volts))
 
     # --- faults ------------------------------------------------------------------------------------------------------
 
-    def cut_sample_clock(self, after: int) -> None:
+    def stop_sample_clock(self, after: int) -> None:
         """`after` samples from now the sample clock ends, until the device is reset."""
         with self._lock:
-            self._advance()
+            self._simulate_until_now()
             self._clock_edges_left = after
 
-    def be_mute(self, duration_s: float) -> None:
+    def disconnect(self, duration_s: float) -> None:
         """The board is lost for a while: nothing arrives from it, and what is asked of it meets no device."""
         with self._lock:
-            self._advance()
-            self._mute_until_ns = self.clock.now_ns() + duration_s * 1e9
+            self._simulate_until_now()
+            self._disconnected_until_ns = self.clock.now_ns() + duration_s * 1e9
 
-    def hold_samples(self, duration_s: float) -> None:
+    def delay_samples(self, duration_s: float) -> None:
         """Samples are taken but not handed over for a while."""
         with self._lock:
-            self._late_until_ns = self.clock.now_ns() + duration_s * 1e9
+            self._delayed_until_ns = self.clock.now_ns() + duration_s * 1e9
 
     def fail_next_read(self, code: DAQmxErrors) -> None:
         """The next read is answered with this error."""
         with self._lock:
-            self._error = BoardError(code, f"failed with {int(code)}")
+            self._injected_error = BoardError(code, f"failed with {int(code)}")
 
     @property
-    def _mute(self) -> bool:
-        return self.clock.now_ns() < self._mute_until_ns
+    def _is_disconnected(self) -> bool:
+        return self.clock.now_ns() < self._disconnected_until_ns
 
-    def _check_present(self) -> None:
-        if self._mute:
+    def _check_connected(self) -> None:
+        if self._is_disconnected:
             raise BoardError(DAQmxErrors.DEV_CANNOT_BE_ACCESSED, f"{self._device} cannot be accessed.")
 
     # --- samples -----------------------------------------------------------------------------------------------------
@@ -266,28 +270,28 @@ class SimulatedBoard:
     def write_output(self, name: str, volts: float, auto_start: bool) -> None:
         with self._lock:
             task = self.task(name)
-            if task.state is not State.RUNNING and not auto_start:
+            if task.state is not TaskState.RUNNING and not auto_start:
                 code = DAQmxErrors.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING
                 raise BoardError(code, f"Task {name} is not running.")
-            self._check_present()
+            self._check_connected()
             low_v, high_v = task.output_range_v
             if not low_v <= volts <= high_v:
                 raise BoardError(DAQmxErrors.INVALID_AO_DATA_WRITE, f"{volts} V is outside {low_v} to {high_v} V.")
-            self._advance()  # up to now the old value held
-            self._put_out(volts)
+            self._simulate_until_now()  # up to now the old value held
+            self._set_output(volts)
 
     def read_analog(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
         """Up to `count` samples per channel, channel after channel, and how many there are: fewer after a time-out."""
         samples = self._read(name, count, timeout_s)
-        return [sample[column] for column in self.task(name).columns for sample in samples], len(samples)
+        return [sample[column] for column in self.task(name).column_indices for sample in samples], len(samples)
 
-    def taken(self, name: str) -> int:
+    def count_acquired_samples(self, name: str) -> int:
         """Samples that the task has taken since its start, read or not."""
         with self._lock:
-            self._check_present()
-            self._advance()
-            self._readable(name)
-            return self._produced
+            self._check_connected()
+            self._simulate_until_now()
+            self._require_running(name)
+            return self._sample_count
 
     def read_encoder(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
         """As `read_analog`, in degrees as the task was told to scale the counts."""
@@ -297,72 +301,72 @@ class SimulatedBoard:
 
     def _read(self, name: str, count: int, timeout_s: float) -> list[Sample]:
         with self._lock:
-            self._advance()
-            task = self._readable(name)
-            if self._error:
-                error, self._error = self._error, None
+            self._simulate_until_now()
+            task = self._require_running(name)
+            if self._injected_error:
+                error, self._injected_error = self._injected_error, None
                 raise error
             wake_ns = min(self._ready_ns(task, count), self.clock.now_ns() + round(timeout_s * 1e9))
         self.clock.sleep_until_ns(wake_ns)  # without the lock: a real board takes an output while a read waits
         with self._lock:
-            self._advance()
-            samples = self._readable(name).samples
-            if self._mute or self.clock.now_ns() < self._late_until_ns:
+            self._simulate_until_now()
+            samples = self._require_running(name).unread_samples
+            if self._is_disconnected or self.clock.now_ns() < self._delayed_until_ns:
                 return []  # a time-out without a sample
             return [samples.popleft() for _ in range(min(count, len(samples)))]
 
-    def _readable(self, name: str) -> Task:
+    def _require_running(self, name: str) -> Task:
         task = self.task(name)
-        if task.state is State.OVERRUN:
+        if task.state is TaskState.OVERRUN:
             raise BoardError(DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE, "The samples are no longer available.")
-        if task.state is not State.RUNNING:
+        if task.state is not TaskState.RUNNING:
             raise BoardError(DAQmxErrors.OPERATION_ABORTED, f"{name} was stopped or aborted.")
         return task
 
     def _ready_ns(self, task: Task, count: int) -> float:
         """When the task will hold `count` samples: never, where its clock does not come."""
-        missing = count - len(task.samples)
-        if (silent_until_ns := max(self._mute_until_ns, self._late_until_ns)) > self.clock.now_ns():
+        missing = count - len(task.unread_samples)
+        if (silent_until_ns := max(self._disconnected_until_ns, self._delayed_until_ns)) > self.clock.now_ns():
             return silent_until_ns
         if missing <= 0:
             return self.clock.now_ns()
-        if not (self._clock_runs and task.armed) or missing > self._clock_edges_left:
+        if not (self._is_clock_running and task.clocked) or missing > self._clock_edges_left:
             return math.inf
-        return self._started_ns + (self._produced + missing) * self._period_ns
+        return self._started_ns + (self._sample_count + missing) * self._period_ns
 
     @property
-    def _clock_runs(self) -> bool:
-        return self._sampling is not None and self._sampling.state is State.RUNNING
+    def _is_clock_running(self) -> bool:
+        return self._clock_task is not None and self._clock_task.state is TaskState.RUNNING
 
     def _start_sample_clock(self, task: Task) -> None:
-        self._sampling = task
+        self._clock_task = task
         self._started_ns = self.clock.now_ns()
         self._period_ns = round(1e9 / task.rate_hz)
-        self._produced = 0
-        task.armed = True
+        self._sample_count = 0
+        task.clocked = True
         for other in self._tasks.values():
-            if other.state is State.RUNNING and other.clock_source == self._analog_clock:
-                other.armed = other.arm_trigger in ("", self._analog_start)
+            if other.state is TaskState.RUNNING and other.clock_source == self._analog_clock:
+                other.clocked = other.arm_trigger in ("", self._analog_start)
 
-    def _advance(self) -> None:
+    def _simulate_until_now(self) -> None:
         """Let the plant live up to now, sample by sample, under the output that held meanwhile."""
-        if not self._clock_runs:
+        if not self._is_clock_running:
             return
-        due = (self.clock.now_ns() - self._started_ns) // self._period_ns - self._produced
+        due = (self.clock.now_ns() - self._started_ns) // self._period_ns - self._sample_count
         due = int(min(due, self._clock_edges_left))
         if due <= 0:
             return
-        self._produced += due
+        self._sample_count += due
         self._clock_edges_left -= due
-        clocked = [task for task in self._tasks.values() if task.armed and task.state is State.RUNNING]
-        queues = [task.samples for task in clocked]
+        clocked = [task for task in self._tasks.values() if task.clocked and task.state is TaskState.RUNNING]
+        queues = [task.unread_samples for task in clocked]
         step, command_v = self._plant.step, self._output_v
-        readback_v = self._readback_of(command_v)
+        readback_v = self._compute_readback_v(command_v)
         for _ in range(min(due, self._buffer_samples + 1)):  # past an overrun nobody can read any more
             strain_v, encoder_deg, touch_1_v, touch_2_v = step(command_v)
             sample = (strain_v, readback_v, touch_1_v, touch_2_v, encoder_deg)
             for queue in queues:
                 queue.append(sample)
         for task in clocked:
-            if len(task.samples) > self._buffer_samples:
-                task.state = State.OVERRUN
+            if len(task.unread_samples) > self._buffer_samples:
+                task.state = TaskState.OVERRUN

@@ -10,11 +10,11 @@ import numpy as np
 from acquisition.simulation.board import Plant
 from config.schema import Tool
 
-Readings = tuple[float, float, float, float]
+SensorReadings = tuple[float, float, float, float]
 
 SPIKE_V = 3.0
 JUMP_V = -0.25
-NOISE_TIMES = 20.0
+NOISE_FACTOR = 20.0
 DROP_OUT_V = 0.0
 JUMP_DEG = 60.0
 SLIP_SHARE = 0.3
@@ -40,50 +40,52 @@ class FaultySensors:
 
     def __init__(self, plant: Plant, tool: Tool, seed: int = 0) -> None:
         self._plant, self._tool = plant, tool
-        self._chance = np.random.default_rng([seed, 3])
+        self._rng = np.random.default_rng([seed, 3])
         self._lock = threading.Lock()
         self._fault: SensorFault | None = None
-        self._last: Readings = (0.0, 0.0, 0.0, 0.0)
-        self._frozen: Readings = self._last
-        self.samples = 0
-        self.broken_at: int | None = None
+        self._last_readings: SensorReadings = (0.0, 0.0, 0.0, 0.0)
+        self._frozen_readings: SensorReadings = self._last_readings
+        self.sample_count = 0
+        self.fault_sample: int | None = None
 
-    def break_now(self, fault: SensorFault) -> None:
+    def inject_fault(self, fault: SensorFault) -> None:
         """From the next sample on."""
-        self.break_at(fault, self.samples)
+        self.inject_fault_at(fault, self.sample_count)
 
-    def break_at(self, fault: SensorFault, sample: int) -> None:
+    def inject_fault_at(self, fault: SensorFault, sample: int) -> None:
         """From that sample on, counted from 0."""
         with self._lock:
-            self._fault, self.broken_at = fault, sample
+            self._fault, self.fault_sample = fault, sample
 
-    def mend(self) -> None:
+    def clear_fault(self) -> None:
         with self._lock:
             self._fault = None
 
-    def step(self, command_v: float) -> Readings:
+    def step(self, command_v: float) -> SensorReadings:
         """One sample, as `Plant.step`."""
         with self._lock:
-            if self.samples == self.broken_at:
-                self._frozen = self._last
-            self._last = self._plant.step(command_v)
-            self.samples += 1
-            is_broken = self._fault is not None and self.broken_at is not None and self.samples > self.broken_at
-            return self._broken(self._last, self._fault) if is_broken else self._last
+            if self.sample_count == self.fault_sample:
+                self._frozen_readings = self._last_readings
+            self._last_readings = self._plant.step(command_v)
+            self.sample_count += 1
+            is_broken = (
+                self._fault is not None and self.fault_sample is not None and self.sample_count > self.fault_sample
+            )
+            return self._apply_fault(self._last_readings, self._fault) if is_broken else self._last_readings
 
-    def _broken(self, sound: Readings, fault: SensorFault) -> Readings:
+    def _apply_fault(self, sound: SensorReadings, fault: SensorFault) -> SensorReadings:
         strain_v, encoder_deg, *touch_v = sound
-        stuck_v, stuck_deg, *_ = self._frozen
+        stuck_v, stuck_deg, *_ = self._frozen_readings
         moved_deg = encoder_deg - stuck_deg
-        noise_v = math.sqrt(NOISE_TIMES**2 - 1.0) * self._tool.noise.strain_sd_v
-        is_first = self.samples - 1 == self.broken_at
+        noise_v = math.sqrt(NOISE_FACTOR**2 - 1.0) * self._tool.noise.strain_sd_v
+        is_first = self.sample_count - 1 == self.fault_sample
         strain: dict[SensorFault, Callable[[], float]] = {
             SensorFault.STRAIN_STUCK: lambda: stuck_v,
             SensorFault.STRAIN_SATURATED: lambda: self._tool.channels.analog_range_v,
             SensorFault.STRAIN_SPIKE: lambda: strain_v + SPIKE_V if is_first else strain_v,
             SensorFault.STRAIN_DROP_OUT: lambda: DROP_OUT_V,
             SensorFault.STRAIN_JUMP: lambda: strain_v + JUMP_V,
-            SensorFault.STRAIN_NOISE: lambda: strain_v + noise_v * float(self._chance.standard_normal()),
+            SensorFault.STRAIN_NOISE: lambda: strain_v + noise_v * float(self._rng.standard_normal()),
             SensorFault.STRAIN_NAN: lambda: math.nan,
         }
         encoder: dict[SensorFault, Callable[[], float]] = {

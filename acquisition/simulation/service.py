@@ -12,21 +12,21 @@ from nidaqmx._stubs.nidaqmx_pb2_grpc import NiDAQmxServicer, add_NiDAQmxServicer
 from nidaqmx.constants import EncoderType
 from nidaqmx.error_codes import DAQmxErrors
 
-from acquisition.simulation.board import BoardError, Kind, SimulatedBoard
+from acquisition.simulation.board import BoardError, ChannelKind, SimulatedBoard
 
 _DRIVER_VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}  # attributes of the system: major, minor, update
 _ARM_START_SOURCE = 0x1417
 _TASK_CHANNELS = 0x1273
-_CHANNELS_OF_DEVICE = {
-    pb.DEVICE_ATTRIBUTE_AI_PHYSICAL_CHANS: Kind.ANALOG_IN,
-    pb.DEVICE_ATTRIBUTE_AO_PHYSICAL_CHANS: Kind.ANALOG_OUT,
-    pb.DEVICE_ATTRIBUTE_CI_PHYSICAL_CHANS: Kind.ENCODER,
+_CHANNEL_ATTRIBUTES = {
+    pb.DEVICE_ATTRIBUTE_AI_PHYSICAL_CHANS: ChannelKind.ANALOG_IN,
+    pb.DEVICE_ATTRIBUTE_AO_PHYSICAL_CHANS: ChannelKind.ANALOG_OUT,
+    pb.DEVICE_ATTRIBUTE_CI_PHYSICAL_CHANS: ChannelKind.ENCODER,
 }
 _INPUT_RANGES_V = (-0.2, 0.2, -1.0, 1.0, -5.0, 5.0, -10.0, 10.0)  # of a PCI-6230
 _COUNTS_PER_PULSE = {EncoderType.X_1.value: 1, EncoderType.X_2.value: 2, EncoderType.X_4.value: 4}
 
 
-def in_process_options(board: SimulatedBoard) -> nidaqmx.GrpcSessionOptions:
+def create_in_process_options(board: SimulatedBoard) -> nidaqmx.GrpcSessionOptions:
     """What to give to nidaqmx, or to `NidaqTool`, to reach `board` by plain function calls."""
     return nidaqmx.GrpcSessionOptions(InProcessChannel(BoardService(board)), "")
 
@@ -46,7 +46,7 @@ def serve_tcp(
     return server, port
 
 
-def _answers(method: Callable[[Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
+def _convert_board_errors(method: Callable[[Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
     """Turn a BoardError into the status and metadata in which nidaqmx looks for the error code."""
 
     @functools.wraps(method)
@@ -66,115 +66,119 @@ class BoardService(NiDAQmxServicer):
     def __init__(self, board: SimulatedBoard) -> None:
         self._board = board
 
-    @_answers
+    @_convert_board_errors
     def GetSystemInfoAttributeUInt32(
         self, request: pb.GetSystemInfoAttributeUInt32Request
     ) -> pb.GetSystemInfoAttributeUInt32Response:
         return pb.GetSystemInfoAttributeUInt32Response(value=_DRIVER_VERSION.get(request.attribute_raw, 0))
 
-    @_answers
+    @_convert_board_errors
     def GetDeviceAttributeString(
         self, request: pb.GetDeviceAttributeStringRequest
     ) -> pb.GetDeviceAttributeStringResponse:
         self._board.check_device(request.device_name)
-        kind = _CHANNELS_OF_DEVICE.get(request.attribute_raw)
-        channels = ", ".join(f"{request.device_name}/{each}" for each in self._board.channels_of(kind)) if kind else ""
+        kind = _CHANNEL_ATTRIBUTES.get(request.attribute_raw)
+        channels = (
+            ", ".join(f"{request.device_name}/{each}" for each in self._board.channel_names(kind)) if kind else ""
+        )
         return pb.GetDeviceAttributeStringResponse(value=channels or self._board.product)
 
-    @_answers
+    @_convert_board_errors
     def GetDeviceAttributeDoubleArray(
         self, request: pb.GetDeviceAttributeDoubleArrayRequest
     ) -> pb.GetDeviceAttributeDoubleArrayResponse:
         self._board.check_device(request.device_name)
         return pb.GetDeviceAttributeDoubleArrayResponse(value=_INPUT_RANGES_V)
 
-    @_answers
+    @_convert_board_errors
     def CreateTask(self, request: pb.CreateTaskRequest) -> pb.CreateTaskResponse:
         response = pb.CreateTaskResponse(new_session_initialized=True)
         response.task.name = self._board.create_task(request.session_name)
         return response
 
-    @_answers
+    @_convert_board_errors
     def GetTaskAttributeString(self, request: pb.GetTaskAttributeStringRequest) -> pb.GetTaskAttributeStringResponse:
         task = self._board.task(request.task.name)
         value = ", ".join(task.channels) if request.attribute_raw == _TASK_CHANNELS else task.name
         return pb.GetTaskAttributeStringResponse(value=value)
 
-    @_answers
+    @_convert_board_errors
     def GetReadAttributeUInt32(self, request: pb.GetReadAttributeUInt32Request) -> pb.GetReadAttributeUInt32Response:
         return pb.GetReadAttributeUInt32Response(value=len(self._board.task(request.task.name).channels))
 
-    @_answers
+    @_convert_board_errors
     def GetReadAttributeUInt64(self, request: pb.GetReadAttributeUInt64Request) -> pb.GetReadAttributeUInt64Response:
-        return pb.GetReadAttributeUInt64Response(value=self._board.taken(request.task.name))  # no other is asked for
+        return pb.GetReadAttributeUInt64Response(
+            value=self._board.count_acquired_samples(request.task.name)
+        )  # no other is asked for
 
-    @_answers
+    @_convert_board_errors
     def CreateAIVoltageChan(self, request: pb.CreateAIVoltageChanRequest) -> pb.CreateAIVoltageChanResponse:
-        self._board.add_channel(request.task.name, Kind.ANALOG_IN, request.physical_channel)
+        self._board.add_channel(request.task.name, ChannelKind.ANALOG_IN, request.physical_channel)
         return pb.CreateAIVoltageChanResponse()
 
-    @_answers
+    @_convert_board_errors
     def CreateAOVoltageChan(self, request: pb.CreateAOVoltageChanRequest) -> pb.CreateAOVoltageChanResponse:
-        task = self._board.add_channel(request.task.name, Kind.ANALOG_OUT, request.physical_channel)
+        task = self._board.add_channel(request.task.name, ChannelKind.ANALOG_OUT, request.physical_channel)
         task.output_range_v = (request.min_val, request.max_val)
         return pb.CreateAOVoltageChanResponse()
 
-    @_answers
+    @_convert_board_errors
     def CreateCIAngEncoderChan(self, request: pb.CreateCIAngEncoderChanRequest) -> pb.CreateCIAngEncoderChanResponse:
-        task = self._board.add_channel(request.task.name, Kind.ENCODER, request.counter)
+        task = self._board.add_channel(request.task.name, ChannelKind.ENCODER, request.counter)
         counts_per_turn = request.pulses_per_rev * _COUNTS_PER_PULSE[request.decoding_type_raw]
         task.degrees_per_count = 360.0 / counts_per_turn
         return pb.CreateCIAngEncoderChanResponse()
 
-    @_answers
+    @_convert_board_errors
     def CfgSampClkTiming(self, request: pb.CfgSampClkTimingRequest) -> pb.CfgSampClkTimingResponse:
         task = self._board.task(request.task.name)
         task.rate_hz, task.clock_source = request.rate, request.source
         return pb.CfgSampClkTimingResponse()
 
-    @_answers
+    @_convert_board_errors
     def SetTrigAttributeInt32(self, request: pb.SetTrigAttributeInt32Request) -> pb.SetTrigAttributeInt32Response:
         return pb.SetTrigAttributeInt32Response()  # kind and edge of the trigger: there is only one of each here
 
-    @_answers
+    @_convert_board_errors
     def SetTrigAttributeString(self, request: pb.SetTrigAttributeStringRequest) -> pb.SetTrigAttributeStringResponse:
         if request.attribute_raw == _ARM_START_SOURCE:
             self._board.task(request.task.name).arm_trigger = request.value
         return pb.SetTrigAttributeStringResponse()
 
-    @_answers
+    @_convert_board_errors
     def StartTask(self, request: pb.StartTaskRequest) -> pb.StartTaskResponse:
         self._board.start_task(request.task.name)
         return pb.StartTaskResponse()
 
-    @_answers
+    @_convert_board_errors
     def StopTask(self, request: pb.StopTaskRequest) -> pb.StopTaskResponse:
         self._board.stop_task(request.task.name)
         return pb.StopTaskResponse()
 
-    @_answers
+    @_convert_board_errors
     def ClearTask(self, request: pb.ClearTaskRequest) -> pb.ClearTaskResponse:
         self._board.clear_task(request.task.name)
         return pb.ClearTaskResponse()
 
-    @_answers
+    @_convert_board_errors
     def ResetDevice(self, request: pb.ResetDeviceRequest) -> pb.ResetDeviceResponse:
         self._board.reset_device(request.device_name)
         return pb.ResetDeviceResponse()
 
-    @_answers
+    @_convert_board_errors
     def ReadAnalogF64(self, request: pb.ReadAnalogF64Request) -> pb.ReadAnalogF64Response:
         wanted = request.num_samps_per_chan
         values, got = self._board.read_analog(request.task.name, wanted, request.timeout)
         return pb.ReadAnalogF64Response(read_array=values, samps_per_chan_read=got, status=_read_status(got, wanted))
 
-    @_answers
+    @_convert_board_errors
     def ReadCounterF64Ex(self, request: pb.ReadCounterF64ExRequest) -> pb.ReadCounterF64ExResponse:
         wanted = request.num_samps_per_chan
         values, got = self._board.read_encoder(request.task.name, wanted, request.timeout)
         return pb.ReadCounterF64ExResponse(read_array=values, samps_per_chan_read=got, status=_read_status(got, wanted))
 
-    @_answers
+    @_convert_board_errors
     def WriteAnalogScalarF64(self, request: pb.WriteAnalogScalarF64Request) -> pb.WriteAnalogScalarF64Response:
         self._board.write_output(request.task.name, request.value, request.auto_start)
         return pb.WriteAnalogScalarF64Response()

@@ -9,11 +9,11 @@ from numba import njit
 from config.schema import TissueLibrary
 
 SUBSTEPS = 5  # stable up to 1e6 N/m on 5 g
-HUNT_CROSSLEY_AT_N = 1.0  # elastic force at which damping that grows with force equals the profile's
+HUNT_CROSSLEY_REFERENCE_N = 1.0  # elastic force at which damping that grows with force equals the profile's
 
 
 @dataclass(frozen=True, slots=True)
-class Deviation:
+class ModelDeviation:
     """How the truth differs from what the estimator assumes; by default not at all."""
 
     mass_kg: float | None = None  # instead of the library's
@@ -32,7 +32,7 @@ class Deviation:
     friction_share: float = 0.0  # of the force: the cable's friction, which the strain gage sees with the motion's sign
 
 
-EXACT = Deviation()
+NO_DEVIATION = ModelDeviation()
 
 
 class Material(NamedTuple):
@@ -58,7 +58,7 @@ class Specimen:
     thickness_m: float
 
     @classmethod
-    def draw(cls, library: TissueLibrary, tissue: str, scatter: list[float], deviation: Deviation) -> "Specimen":
+    def draw(cls, library: TissueLibrary, tissue: str, scatter: list[float], deviation: ModelDeviation) -> "Specimen":
         """`scatter`: deviations of log alpha, log beta, log d and log thickness in standard deviations."""
         profile, spread = library.tissues[tissue], library.spread_of(tissue)
         material = Material(
@@ -76,7 +76,7 @@ class Specimen:
 
 
 @njit(cache=True)
-def squeeze(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, material):
+def integrate_tissue(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, material):
     """Displacement, velocity and relaxed force after `dt_s` under a force from `begin_n` straight to `end_n`.
 
     `moved_m` is how far the tissue has been moved against the jaws. Runge-Kutta, 4th order: another method than the
@@ -88,13 +88,13 @@ def squeeze(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, material):
         last_n = begin_n + (end_n - begin_n) * (k + 1) / SUBSTEPS
         middle_n = 0.5 * (first_n + last_n)
         v1 = v_m_per_s
-        a1, r1 = _rates(x_m + moved_m, v1, relaxed_n, first_n, material)
+        a1, r1 = _compute_derivatives(x_m + moved_m, v1, relaxed_n, first_n, material)
         v2 = v1 + half_s * a1
-        a2, r2 = _rates(x_m + moved_m + half_s * v1, v2, relaxed_n + half_s * r1, middle_n, material)
+        a2, r2 = _compute_derivatives(x_m + moved_m + half_s * v1, v2, relaxed_n + half_s * r1, middle_n, material)
         v3 = v1 + half_s * a2
-        a3, r3 = _rates(x_m + moved_m + half_s * v2, v3, relaxed_n + half_s * r2, middle_n, material)
+        a3, r3 = _compute_derivatives(x_m + moved_m + half_s * v2, v3, relaxed_n + half_s * r2, middle_n, material)
         v4 = v1 + step_s * a3
-        a4, r4 = _rates(x_m + moved_m + step_s * v3, v4, relaxed_n + step_s * r3, last_n, material)
+        a4, r4 = _compute_derivatives(x_m + moved_m + step_s * v3, v4, relaxed_n + step_s * r3, last_n, material)
         x_m += step_s / 6 * (v1 + 2 * (v2 + v3) + v4)
         v_m_per_s += step_s / 6 * (a1 + 2 * (a2 + a3) + a4)
         relaxed_n += step_s / 6 * (r1 + 2 * (r2 + r3) + r4)
@@ -102,12 +102,12 @@ def squeeze(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, material):
 
 
 @njit(cache=True)
-def _rates(x_m, v_m_per_s, relaxed_n, force_n, material):
+def _compute_derivatives(x_m, v_m_per_s, relaxed_n, force_n, material):
     """Acceleration, m/s², and how fast the relaxed part of the elastic force grows, N/s."""
     elastic_n = material.alpha_n * math.expm1(min(material.beta_per_m * x_m, 50.0))
     if material.plateau_n > 0.0 and x_m > 0.0:
         elastic_n -= material.plateau_n * math.expm1(-x_m / material.plateau_m)
-    by_force = max(elastic_n, 0.0) / HUNT_CROSSLEY_AT_N
+    by_force = max(elastic_n, 0.0) / HUNT_CROSSLEY_REFERENCE_N
     damping = material.damping_kg_per_s * (1.0 + material.damping_by_force * (by_force - 1.0))
     acceleration = (force_n - damping * v_m_per_s - elastic_n + relaxed_n) / material.mass_kg
     return acceleration, (material.relaxed_share * elastic_n - relaxed_n) / material.relaxation_s

@@ -6,12 +6,12 @@ A sensor that never worked is one of `FaultySensors` that broke at the first sam
 import math
 from enum import StrEnum
 
-from acquisition.simulation.grasper import TOUCHED_V, SimulatedGrasper
+from acquisition.simulation.grasper import TOUCH_ACTIVE_V, SimulatedGrasper
 
-MAINS_HZ, HUM_V = 50.0, 0.4
+HUM_FREQUENCY_HZ, HUM_AMPLITUDE_V = 50.0, 0.4
 
 
-class Mistake(StrEnum):
+class WiringFault(StrEnum):
     STRAIN_FLOATS = "strain gage: nothing drives the input"
     READBACK_OPEN = "motor command: not read back"
     READBACK_HALVED = "motor command: read back through a divider"
@@ -21,21 +21,21 @@ class Mistake(StrEnum):
 class MiswiredGrasper:
     """A `Plant`; `readback_v` says what the board reads of its own output."""
 
-    def __init__(self, grasper: SimulatedGrasper, mistake: Mistake) -> None:
-        self._grasper, self._mistake = grasper, mistake
-        self._samples = 0
+    def __init__(self, grasper: SimulatedGrasper, wiring_fault: WiringFault) -> None:
+        self._grasper, self._wiring_fault = grasper, wiring_fault
+        self._sample_count = 0
 
     def readback_v(self, command_v: float) -> float:
-        share = {Mistake.READBACK_OPEN: 0.0, Mistake.READBACK_HALVED: 0.5}
-        return share.get(self._mistake, 1.0) * command_v
+        share = {WiringFault.READBACK_OPEN: 0.0, WiringFault.READBACK_HALVED: 0.5}
+        return share.get(self._wiring_fault, 1.0) * command_v
 
     def step(self, command_v: float) -> tuple[float, float, float, float]:
         """One sample, as `Plant.step`."""
         strain_v, encoder_deg, *touch_v = self._grasper.step(command_v)
-        self._samples += 1
-        match self._mistake:
-            case Mistake.STRAIN_FLOATS:
-                strain_v += HUM_V * math.sin(2 * math.pi * MAINS_HZ * self._samples / 1000.0)
-            case Mistake.TOUCH_STUCK:
-                touch_v = [TOUCHED_V, TOUCHED_V]
+        self._sample_count += 1
+        match self._wiring_fault:
+            case WiringFault.STRAIN_FLOATS:
+                strain_v += HUM_AMPLITUDE_V * math.sin(2 * math.pi * HUM_FREQUENCY_HZ * self._sample_count / 1000.0)
+            case WiringFault.TOUCH_STUCK:
+                touch_v = [TOUCH_ACTIVE_V, TOUCH_ACTIVE_V]
         return strain_v, encoder_deg, touch_v[0], touch_v[1]

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from app.wire import JournalEntry
 
 NEW_LINE = b"\n"
-_SEAL = b',"hash":"%s"}'
-_SEAL_BYTES = len(_SEAL % bytes(64))
+_HASH_SUFFIX = b',"hash":"%s"}'
+_HASH_SUFFIX_BYTES = len(_HASH_SUFFIX % bytes(64))
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class ChainLink:
     """A line's place in a chain; `begins` and `torn` as in `JournalEntry`."""
 
     chain: str
@@ -27,26 +27,26 @@ class Link:
     hash: str
 
 
-def digest(content: bytes) -> str:
+def sha256_hex(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def seal(entry: JournalEntry, chain: str, number: int, after: str | None) -> tuple[bytes, JournalEntry]:
+def seal_entry(entry: JournalEntry, chain: str, number: int, after: str | None) -> tuple[bytes, JournalEntry]:
     """The line of an entry at its place, without its end of line, and the entry as it stands there."""
     placed = entry.model_copy(update={"chain": chain, "number": number, "after": after})
-    body = placed.line().encode()[:-1]
-    own = digest(body)
-    return body + _SEAL % own.encode(), placed.model_copy(update={"hash": own})
+    body = placed.to_line().encode()[:-1]
+    own = sha256_hex(body)
+    return body + _HASH_SUFFIX % own.encode(), placed.model_copy(update={"hash": own})
 
 
-def link_of(line: bytes) -> Link | None:
+def parse_link(line: bytes) -> ChainLink | None:
     """A line's place; None for what is no line of a chain, or was changed."""
     line = line.removesuffix(NEW_LINE)
-    body, own = line[:-_SEAL_BYTES], digest(line[:-_SEAL_BYTES])
-    if line[len(body) :] != _SEAL % own.encode():
+    body, own = line[:-_HASH_SUFFIX_BYTES], sha256_hex(line[:-_HASH_SUFFIX_BYTES])
+    if line[len(body) :] != _HASH_SUFFIX % own.encode():
         return None
     try:
         said = json.loads(body + b"}")
-        return Link(said["chain"], said["number"], said.get("after"), said.get("begins"), said.get("torn"), own)
+        return ChainLink(said["chain"], said["number"], said.get("after"), said.get("begins"), said.get("torn"), own)
     except (ValueError, LookupError, TypeError, RecursionError):  # somebody has hashed something else
         return None

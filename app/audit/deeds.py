@@ -16,25 +16,25 @@ from app.people.origin import forwarded_headers
 from app.people.roles import SAFE_METHODS
 from app.wire import Result
 
-BODY_BYTES = 20_000  # enough for whose name is in a request, and for why it was refused
-NAME_LENGTH, REASON_LENGTH, CLIENT_LENGTH = 40, 500, 200  # what is said may be of any length
+MAX_BODY_BYTES = 20_000  # enough for whose name is in a request, and for why it was refused
+MAX_NAME_LENGTH, MAX_REASON_LENGTH, MAX_CLIENT_LENGTH = 40, 500, 200  # what is said may be of any length
 
 
-def note_deed(request: HTTPConnection, *, what: str | None = None, by: str | None = None) -> None:
+def note_request(request: HTTPConnection, *, description: str | None = None, by: str | None = None) -> None:
     """Say in a request's line of the journal what it asks for (`Start run sine`), and who asks where that is known for
     sure: else it is whom the request names."""
-    said = {"what": what, "by": by}
+    said = {"what": description, "by": by}
     request.state.deed = getattr(request.state, "deed", {}) | {name: each for name, each in said.items() if each}
 
 
-def client_of(request: HTTPConnection) -> str:
+def describe_client(request: HTTPConnection) -> str:
     """From where a request comes; what a proxy says of that may be wrong, and is marked as said."""
     host = request.client.host if request.client else "unknown"
     said = [f"{name}: {value}" for name, value in forwarded_headers(request)]
-    return (f"{host} ({'; '.join(said)})" if said else host)[:CLIENT_LENGTH]
+    return (f"{host} ({'; '.join(said)})" if said else host)[:MAX_CLIENT_LENGTH]
 
 
-class Deeds:
+class AuditMiddleware:
     """Middleware: notes what came of each request once it has been answered."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -47,26 +47,28 @@ class Deeds:
         asked, answered = bytearray(), bytearray()
         status = HTTPStatus.INTERNAL_SERVER_ERROR
 
-        async def hear() -> Message:
+        async def receive_and_copy() -> Message:
             message = await receive()
-            asked.extend(message.get("body", b"")[: BODY_BYTES - len(asked)])
+            asked.extend(message.get("body", b"")[: MAX_BODY_BYTES - len(asked)])
             return message
 
-        async def answer(message: Message) -> None:
+        async def send_and_copy(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = HTTPStatus(message["status"])
             elif status >= HTTPStatus.BAD_REQUEST:
-                answered.extend(message.get("body", b"")[: BODY_BYTES - len(answered)])
+                answered.extend(message.get("body", b"")[: MAX_BODY_BYTES - len(answered)])
             await send(message)
 
         try:
-            await self._app(scope, hear, answer)
+            await self._app(scope, receive_and_copy, send_and_copy)
         finally:
-            _note(HTTPConnection(scope), bytes(asked), status, bytes(answered))
+            _write_journal_entry(HTTPConnection(scope), bytes(asked), status, bytes(answered))
 
 
-def _note(request: HTTPConnection, asked: bytes, status: HTTPStatus, answered: bytes) -> None:
+def _write_journal_entry(
+    request: HTTPConnection, request_body: bytes, status: HTTPStatus, response_body: bytes
+) -> None:
     route = request.scope.get("route")
     if route is None and status is not HTTPStatus.FORBIDDEN:
         return  # nothing is there that could have been changed, or the gate knows nobody, and says so itself
@@ -75,34 +77,34 @@ def _note(request: HTTPConnection, asked: bytes, status: HTTPStatus, answered: b
     name = route.name if route else str(request.scope["method"])
     words = [name.replace("_", " ").capitalize(), *map(str, request.path_params.values())]
     if route is None:
-        words = [name, str(request.scope["path"])[:REASON_LENGTH]]
+        words = [name, str(request.scope["path"])[:MAX_REASON_LENGTH]]
     result, reason = Result.DONE, None
     if status >= HTTPStatus.BAD_REQUEST:
         result = Result.FAILED if status >= HTTPStatus.INTERNAL_SERVER_ERROR else Result.REFUSED
-        reason = str(_said(answered, "detail") or status.phrase)[:REASON_LENGTH]
-    journal.deed(
+        reason = str(_json_field(response_body, "detail") or status.phrase)[:MAX_REASON_LENGTH]
+    journal.write_request(
         name,
         deed.get("what") or " ".join(words),
-        client=client_of(request),
+        client=describe_client(request),
         result=result,
-        by=deed.get("by") or _signed_in(request) or _named(request, asked),
+        by=deed.get("by") or _signed_in_name(request) or _claimed_name(request, request_body),
         reason=reason,
     )
 
 
-def _signed_in(request: HTTPConnection) -> str | None:
+def _signed_in_name(request: HTTPConnection) -> str | None:
     """Whom the gate knows; what else a request says of that does not count then."""
     who = getattr(request.state, "who", None)
     return who.name if who else None
 
 
-def _named(request: HTTPConnection, asked: bytes) -> str | None:
+def _claimed_name(request: HTTPConnection, request_body: bytes) -> str | None:
     """Whom a request names, in its query or its body."""
-    name = request.query_params.get("by") or _said(asked, "by")
-    return name[:NAME_LENGTH] if isinstance(name, str) and name.strip() else None
+    name = request.query_params.get("by") or _json_field(request_body, "by")
+    return name[:MAX_NAME_LENGTH] if isinstance(name, str) and name.strip() else None
 
 
-def _said(document: bytes, name: str) -> Any:
+def _json_field(document: bytes, name: str) -> Any:
     try:
         content = json.loads(document)
     except (ValueError, RecursionError):

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from app.audit.file import journals_in, lines_of
+from app.audit.file import find_journals, read_journal_lines
 from app.wire import JournalEntry
 
-COLUMNS = (
+CSV_COLUMNS = (
     "number",
     "at",
     "kind",
@@ -29,7 +29,7 @@ COLUMNS = (
     "unit",
     "hash",
 )
-FORMULA = ("=", "+", "-", "@", "\t", "\r")
+FORMULA_PREFIXES = ("=", "+", "-", "@", "\t", "\r")
 
 
 class JournalFormat(StrEnum):
@@ -40,50 +40,54 @@ class JournalFormat(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class JournalFilter:
     """Which lines; None: any. Moments without a zone are UTC."""
 
     since: datetime | None = None
     until: datetime | None = None
     by: str | None = None
 
-    def takes(self, entry: JournalEntry) -> bool:
-        at = _in_zone(datetime.fromisoformat(entry.at))
+    def matches(self, entry: JournalEntry) -> bool:
+        at = _with_utc_zone(datetime.fromisoformat(entry.at))
         return (
-            (self.since is None or at >= _in_zone(self.since))
-            and (self.until is None or at < _in_zone(self.until))
+            (self.since is None or at >= _with_utc_zone(self.since))
+            and (self.until is None or at < _with_utc_zone(self.until))
             and (self.by is None or entry.by == self.by)
         )
 
 
-def export(data: Path, wanted: Wanted, as_format: JournalFormat) -> Iterator[bytes]:
+def export_lines(data: Path, journal_filter: JournalFilter, journal_format: JournalFormat) -> Iterator[bytes]:
     """Lines, oldest first; what cannot be read as one is left out (`graspwatch audit verify` tells of it).
 
     Raises:
         JournalError: a file cannot be read.
     """
-    if as_format is JournalFormat.CSV:
-        yield _csv_line(COLUMNS)
-    for path in journals_in(data):
-        for line in lines_of(path):
+    if journal_format is JournalFormat.CSV:
+        yield _csv_line(CSV_COLUMNS)
+    for path in find_journals(data):
+        for line in read_journal_lines(path):
             try:
                 entry = JournalEntry.model_validate_json(line)
-                taken = wanted.takes(entry)
+                taken = journal_filter.matches(entry)
             except (ValidationError, ValueError):
                 continue
             if taken:
-                yield line.rstrip(b"\n") + b"\n" if as_format is JournalFormat.JSONL else _csv_line(_cells(entry))
+                yield (
+                    line.rstrip(b"\n") + b"\n"
+                    if journal_format is JournalFormat.JSONL
+                    else _csv_line(_csv_cells(entry))
+                )
 
 
-def _cells(entry: JournalEntry) -> list[str]:
-    return [_harmless(value) for value in (getattr(entry, name) for name in COLUMNS)]
+def _csv_cells(entry: JournalEntry) -> list[str]:
+    return [_escape_formula(value) for value in (getattr(entry, name) for name in CSV_COLUMNS)]
 
 
-def _harmless(value: object) -> str:
+def _escape_formula(value: object) -> str:
     """Names and reasons come from anybody: a spreadsheet must not take them for formulas."""
     if value is None:
         return ""
-    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else str(value)
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_PREFIXES) else str(value)
 
 
 def _csv_line(cells: tuple[str, ...] | list[str]) -> bytes:
@@ -92,5 +96,5 @@ def _csv_line(cells: tuple[str, ...] | list[str]) -> bytes:
     return text.getvalue().encode()
 
 
-def _in_zone(moment: datetime) -> datetime:
+def _with_utc_zone(moment: datetime) -> datetime:
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)

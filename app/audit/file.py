@@ -13,14 +13,14 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO
 
-from app.audit.chain import NEW_LINE, Link, digest, link_of, seal
+from app.audit.chain import NEW_LINE, ChainLink, parse_link, seal_entry, sha256_hex
 from app.wire import JournalEntry, JournalKind
 from config.errors import JournalError
 
-LAST_BYTES = 2**20  # a line has a few thousand
-PATIENCE_S = 0.1  # for another program that is writing; the event loop waits meanwhile
-AT_ONCE_BYTES = 2**20
-BEGINS = "The chain of the journal begins"
+MAX_LINE_BYTES = 2**20  # a line has a few thousand
+LOCK_TIMEOUT_S = 0.1  # for another program that is writing; the event loop waits meanwhile
+READ_CHUNK_BYTES = 2**20
+CHAIN_BEGIN_TEXT = "The chain of the journal begins"
 
 
 class JournalFile:
@@ -28,8 +28,8 @@ class JournalFile:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "journal.jsonl"
-        self._last: Link | None = None
-        self._left: tuple[int, int] | None = None  # the file and its size as this program left it
+        self._last_link: ChainLink | None = None
+        self._last_file_state: tuple[int, int] | None = None  # the file and its size as this program left it
 
     def append(self, entry: JournalEntry) -> list[JournalEntry]:
         """Write one entry; returns what was written: before it there may be a word of the journal about itself.
@@ -39,15 +39,15 @@ class JournalFile:
         """
         written = []
         with self._locked() as file:
-            for each in [*self._first_words(file, entry.at), entry]:
+            for each in [*self._recover_chain(file, entry.at), entry]:
                 if each.begins is not None:
-                    self._last = None
-                chain = self._last.chain if self._last else secrets.token_hex(4)
-                before = self._last.number if self._last else _lines_before(file)
-                line, placed = seal(each, chain, before + 1, self._last.hash if self._last else None)
-                _write(file, self._end_of_line(file) + line + NEW_LINE)
-                self._last = link_of(line)
-                self._left = _state(file)
+                    self._last_link = None
+                chain = self._last_link.chain if self._last_link else secrets.token_hex(4)
+                before = self._last_link.number if self._last_link else _count_lines(file)
+                line, placed = seal_entry(each, chain, before + 1, self._last_link.hash if self._last_link else None)
+                _write_all(file, self._missing_newline(file) + line + NEW_LINE)
+                self._last_link = parse_link(line)
+                self._last_file_state = _read_file_state(file)
                 written.append(placed)
         return written
 
@@ -67,8 +67,8 @@ class JournalFile:
     @contextlib.contextmanager
     def _locked(self) -> Iterator[int]:
         """The file, open and for this program alone."""
-        end_s = time.monotonic() + PATIENCE_S
-        while (file := self._take()) is None:
+        end_s = time.monotonic() + LOCK_TIMEOUT_S
+        while (file := self._try_lock()) is None:
             if time.monotonic() > end_s:
                 raise BlockingIOError(errno.EWOULDBLOCK, "another program holds it")
             time.sleep(0.0005)
@@ -77,7 +77,7 @@ class JournalFile:
         finally:
             os.close(file)
 
-    def _take(self) -> int | None:
+    def _try_lock(self) -> int | None:
         """None: another program writes, or the file was rotated away just now."""
         file = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
@@ -92,43 +92,43 @@ class JournalFile:
         os.close(file)
         return None
 
-    def _first_words(self, file: int, at: str) -> list[JournalEntry]:
+    def _recover_chain(self, file: int, at: str) -> list[JournalEntry]:
         """Find out where the chain stands, unless it is known; what has to be said about it first."""
-        if self._left == _state(file):
+        if self._last_file_state == _read_file_state(file):
             return []
-        whole, fragment = _last_lines(file)
-        last = link_of(fragment)
+        whole, fragment = _read_last_lines(file)
+        last = parse_link(fragment)
         torn = fragment if fragment and not last else b""
-        last = last or link_of(whole)
+        last = last or parse_link(whole)
         if not whole:
-            last = last or _newest(path for path in self.path.parent.glob(f"{self.path.name}?*"))
+            last = last or _find_newest_link(path for path in self.path.parent.glob(f"{self.path.name}?*"))
         elif not last:
-            return [_begins(file, at, has_end=not fragment)]
-        if self._last and (last is None or self._last.number > last.number):
-            last = self._last  # somebody shortened the file: what is missing now has to show
+            return [_chain_start_entry(file, at, has_end=not fragment)]
+        if self._last_link and (last is None or self._last_link.number > last.number):
+            last = self._last_link  # somebody shortened the file: what is missing now has to show
         if last is None:
-            return [_begins(file, at, has_end=not fragment)]
-        self._last = last
+            return [_chain_start_entry(file, at, has_end=not fragment)]
+        self._last_link = last
         text = f"A line of the journal was cut off here, after {len(torn)} bytes: the power failed or the disk was full"
-        return [_word(at, text, torn=digest(torn))] if torn else []
+        return [_chain_entry(at, text, torn=sha256_hex(torn))] if torn else []
 
-    def _end_of_line(self, file: int) -> bytes:
+    def _missing_newline(self, file: int) -> bytes:
         """What a line needs before it where the one before has no end."""
         size = os.fstat(file).st_size
         return b"" if not size or os.pread(file, 1, size - 1) == NEW_LINE else NEW_LINE
 
 
-def journals_in(data: Path) -> list[Path]:
+def find_journals(data: Path) -> list[Path]:
     """The journal and what was rotated away (`journal.jsonl.1`, `.2.gz`), oldest first."""
 
     def age(path: Path) -> tuple[int, int]:
-        link = next(_links_of(path), None)
+        link = next(_read_links(path), None)
         return link.number if link else 0, path.stat().st_mtime_ns
 
     return sorted(data.glob("journal.jsonl*"), key=age)
 
 
-def lines_of(path: Path) -> Iterator[bytes]:
+def read_journal_lines(path: Path) -> Iterator[bytes]:
     """Of one file, with their ends.
 
     Raises:
@@ -136,7 +136,9 @@ def lines_of(path: Path) -> Iterator[bytes]:
     """
     try:
         with open_journal(path) as file:
-            while line := file.readline(LAST_BYTES):  # a longer one is none of ours, and must not ask for all memory
+            while line := file.readline(
+                MAX_LINE_BYTES
+            ):  # a longer one is none of ours, and must not ask for all memory
                 yield line
     except (OSError, EOFError, zlib.error) as error:
         raise JournalError(f"{path}: cannot be read to its end ({error}). Allow reading, or copy it again.") from None
@@ -146,59 +148,61 @@ def open_journal(path: Path) -> IO[bytes]:
     return gzip.open(path) if path.name.endswith(".gz") else path.open("rb")
 
 
-def _links_of(path: Path) -> Iterator[Link]:
+def _read_links(path: Path) -> Iterator[ChainLink]:
     """Of all lines in a chain, as far as the file can be read."""
     with contextlib.suppress(OSError, EOFError, zlib.error), open_journal(path) as file:
-        while line := file.readline(LAST_BYTES):
-            if link := link_of(line):
+        while line := file.readline(MAX_LINE_BYTES):
+            if link := parse_link(line):
                 yield link
 
 
-def _begins(file: int, at: str, *, has_end: bool) -> JournalEntry:
+def _chain_start_entry(file: int, at: str, *, has_end: bool) -> JournalEntry:
     """The first word of a chain; it vouches for what stands before it."""
     before, place, chained = hashlib.sha256(), 0, False
-    while piece := os.pread(file, AT_ONCE_BYTES, place):
+    while piece := os.pread(file, READ_CHUNK_BYTES, place):
         before.update(piece)
         chained = chained or b'"hash":"' in piece
         place += len(piece)
     if not has_end:
         before.update(NEW_LINE)
-    lines = _lines_before(file)
-    text = f"{BEGINS} anew: its last line is damaged" if chained else BEGINS
-    return _word(at, f"{text}, after {lines} lines that are not in it" if lines else text, begins=before.hexdigest())
+    lines = _count_lines(file)
+    text = f"{CHAIN_BEGIN_TEXT} anew: its last line is damaged" if chained else CHAIN_BEGIN_TEXT
+    return _chain_entry(
+        at, f"{text}, after {lines} lines that are not in it" if lines else text, begins=before.hexdigest()
+    )
 
 
-def _word(at: str, text: str, **facts: str) -> JournalEntry:
+def _chain_entry(at: str, text: str, **facts: str) -> JournalEntry:
     return JournalEntry(at=at, kind=JournalKind.CHAIN, text=text, **facts)
 
 
-def _lines_before(file: int) -> int:
+def _count_lines(file: int) -> int:
     lines, at, last = 0, 0, NEW_LINE
-    while piece := os.pread(file, AT_ONCE_BYTES, at):
+    while piece := os.pread(file, READ_CHUNK_BYTES, at):
         lines += piece.count(NEW_LINE)
         at += len(piece)
         last = piece[-1:]
     return lines + (last != NEW_LINE)
 
 
-def _state(file: int) -> tuple[int, int]:
+def _read_file_state(file: int) -> tuple[int, int]:
     found = os.fstat(file)
     return found.st_ino, found.st_size
 
 
-def _last_lines(file: int) -> tuple[bytes, bytes]:
+def _read_last_lines(file: int) -> tuple[bytes, bytes]:
     """The last line with an end, and what stands after it without one."""
     size = os.fstat(file).st_size
-    *before, fragment = os.pread(file, LAST_BYTES, max(size - LAST_BYTES, 0)).split(NEW_LINE)
+    *before, fragment = os.pread(file, MAX_LINE_BYTES, max(size - MAX_LINE_BYTES, 0)).split(NEW_LINE)
     return before[-1] if before else b"", fragment
 
 
-def _newest(rotated: Iterable[Path]) -> Link | None:
+def _find_newest_link(rotated: Iterable[Path]) -> ChainLink | None:
     """Where the chain stands at the end of the files that were rotated away."""
-    links = (link for path in rotated for link in _links_of(path))
+    links = (link for path in rotated for link in _read_links(path))
     return max(links, key=lambda link: link.number, default=None)
 
 
-def _write(file: int, content: bytes) -> None:
+def _write_all(file: int, content: bytes) -> None:
     while content:
         content = content[os.write(file, content) :]

@@ -7,33 +7,35 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from app.journal import Journal
-from app.options import errors
+from app.options import error_console
 from app.wire import JournalEntry, Result
 from config.errors import GraspwatchError
 
 
 @contextlib.contextmanager
-def local_deed(
-    data: Path, action: str, what: str, on_entry: Callable[[JournalEntry], object] = lambda _: None
+def journal_local_command(
+    data: Path, action: str, description: str, on_entry: Callable[[JournalEntry], object] = lambda _: None
 ) -> Iterator[None]:
     """Note what is done inside, whether it succeeds or fails."""
-    journal = Journal(data, _warn, on_entry)
+    journal = Journal(data, _print_warning, on_entry)
     client = f"this machine: graspwatch {action}"
     try:
         yield
     except GraspwatchError as error:
-        journal.deed(action, what, client=client, result=Result.FAILED, by=_user(), reason=str(error))
+        journal.write_request(
+            action, description, client=client, result=Result.FAILED, by=_user_name(), reason=str(error)
+        )
         raise
-    journal.deed(action, what, client=client, result=Result.DONE, by=_user())
+    journal.write_request(action, description, client=client, result=Result.DONE, by=_user_name())
 
 
-def _user() -> str:
+def _user_name() -> str:
     try:
         return getpass.getuser()
     except (KeyError, OSError):  # a container may have no names
         return f"user {os.getuid()}"
 
 
-def _warn(fault: str | None) -> None:
+def _print_warning(fault: str | None) -> None:
     if fault:
-        errors.print(f"Not noted: {fault}.", markup=False, soft_wrap=True)
+        error_console.print(f"Not noted: {fault}.", markup=False, soft_wrap=True)

@@ -13,14 +13,14 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from app.options import RECORDED_WITH, ConfigOption, JsonOption, ToolOption, errors
+from app.options import DEFAULT_RECORDING_TOOL, ConfigOption, JsonOption, ToolOption, error_console
 from config.errors import CalibrationError, ConfigurationError, ToolError
-from config.load import file_of_tool, load_settings, load_tool
+from config.load import find_tool_file, load_settings, load_tool
 from config.schema import Tool, ToolKind
 
 if TYPE_CHECKING:
-    from acquisition.bench.fits import Constant, Fit
-    from acquisition.bench.measuring import Bench
+    from acquisition.bench.fits import CalibrationFit, FittedConstant
+    from acquisition.bench.measuring import CalibrationBench
 
 app = typer.Typer(
     help="Measure a tool's constants without tissue. Each command fits them with their confidence intervals, refuses a "
@@ -30,16 +30,18 @@ app = typer.Typer(
 T = TypeVar("T")
 
 PersonOption = Annotated[str | None, typer.Option(help="Who calibrates; default: this computer's user.")]
-DaysOption = Annotated[int, typer.Option("--valid-days", min=1, max=3650, help="From when on a new one is asked for.")]
-IntoOption = Annotated[
+ValidDaysOption = Annotated[
+    int, typer.Option("--valid-days", min=1, max=3650, help="From when on a new one is asked for.")
+]
+OutputFolderOption = Annotated[
     Path | None,
     typer.Option("--into", metavar="FOLDER", help="Where the new file goes; default: beside the tool's file."),
 ]
 YesOption = Annotated[bool, typer.Option("--yes", help="All is prepared: ask nothing. The jaws may move.")]
-EMPTY = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
+EMPTY_JAWS_QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
 
 
-class _Session:
+class _CommandLineCalibration:
     """One calibration: what it asks, and what becomes of its fit."""
 
     def __init__(
@@ -47,51 +49,53 @@ class _Session:
         tool: str | None,
         config: Path | None,
         person: str | None,
-        days: int,
-        into: Path | None,
+        valid_days: int,
+        folder: Path | None,
         yes: bool,
         as_json: bool,
-        usual_tool: str | None = None,
+        default_tool: str | None = None,
     ) -> None:
-        self._name = tool or usual_tool or load_settings(config).tool
-        self.tool: Tool = load_tool(self._name)
-        self._person, self._days = person or getpass.getuser(), days
-        own = self._name.endswith(".toml") or "/" in self._name
-        self._into = into or (file_of_tool(self._name).parent if own else Path())
-        self._yes, self._as_json = yes, as_json
-        if not (yes or errors.is_terminal):
+        self._tool_source = tool or default_tool or load_settings(config).tool
+        self.tool: Tool = load_tool(self._tool_source)
+        self._person, self._valid_days = person or getpass.getuser(), valid_days
+        own = self._tool_source.endswith(".toml") or "/" in self._tool_source
+        self._folder = folder or (find_tool_file(self._tool_source).parent if own else Path())
+        self._assume_yes, self._as_json = yes, as_json
+        if not (yes or error_console.is_terminal):
             raise ConfigurationError("Nobody is at a terminal to answer: prepare all, then say so with --yes.")
-        from config.writing import check_folder  # takes a while
+        from config.writing import check_writable  # takes a while
 
-        check_folder(self._into)
+        check_writable(self._folder)
 
-    def bench(self) -> "Bench":
+    def open_bench(self) -> "CalibrationBench":
         """The tool, for measuring."""
         if self.tool.kind is ToolKind.RECORDING:
             raise ConfigurationError(f"The tool {self.tool.name!r} is for recordings: name the real one with --tool.")
-        from acquisition.process import at_realtime  # takes a second
-        from acquisition.tools import open_for_calibration
+        from acquisition.process import hold_realtime_priority  # takes a second
+        from acquisition.tools import open_calibration_bench
         from acquisition.worker import REALTIME_PRIORITY
 
-        return open_for_calibration(self.tool, partial(at_realtime, REALTIME_PRIORITY))  # as the worker reads it
+        return open_calibration_bench(
+            self.tool, partial(hold_realtime_priority, REALTIME_PRIORITY)
+        )  # as the worker reads it
 
-    def say(self, text: str) -> None:
-        errors.print(escape(text), soft_wrap=True)
+    def print_message(self, text: str) -> None:
+        error_console.print(escape(text), soft_wrap=True)
 
-    def ask(self, question: str) -> None:
+    def confirm(self, question: str) -> None:
         """Go on only if somebody agrees."""
-        if not self._yes and not typer.confirm(question, default=True, err=True):
+        if not self._assume_yes and not typer.confirm(question, default=True, err=True):
             raise CalibrationError("Broken off. Nothing was written.")
 
-    def read(self, measure: Callable[[], T]) -> T:
+    def read_with_retry(self, measure: Callable[[], T]) -> T:
         """One reading; where it fails and somebody is there, again if they want."""
         while True:
             try:
                 return measure()
             except (CalibrationError, ToolError) as error:
-                if self._yes:
+                if self._assume_yes:
                     raise
-                errors.print(f"[red]{escape(str(error))}[/]", soft_wrap=True)
+                error_console.print(f"[red]{escape(str(error))}[/]", soft_wrap=True)
                 if not typer.confirm("Read it again?", default=True, err=True):
                     raise
 
@@ -100,45 +104,45 @@ class _Session:
         values: list[float],
         question: Callable[[float], str],
         measure: Callable[[float], T],
-        told: Callable[[float, T], str],
+        format_reading: Callable[[float, T], str],
     ) -> list[T]:
         """A reading for each weight or gauge, one after the other."""
         found = []
         for n, value in enumerate(values, 1):
-            self.ask(f"{n} of {len(values)}: {question(value)}")
-            found.append(self.read(partial(measure, value)))
-            self.say(told(value, found[-1]))
+            self.confirm(f"{n} of {len(values)}: {question(value)}")
+            found.append(self.read_with_retry(partial(measure, value)))
+            self.print_message(format_reading(value, found[-1]))
         return found
 
-    def finish(self, fit: "Callable[[], Fit]") -> None:
+    def finish(self, fit: "Callable[[], CalibrationFit]") -> None:
         """Fit, show, and write the new tool file with its plot."""
         try:
             found = fit()
         except CalibrationError as error:
             raise CalibrationError(f"{error} Nothing was written.") from None
-        from acquisition.bench.fits import before  # takes a while
-        from app.bench.results import write_fit
+        from acquisition.bench.fits import read_current_value  # takes a while
+        from app.bench.results import write_calibration_file
 
-        path = write_fit(found, self._name, self._person, self._days, self._into)
+        path = write_calibration_file(found, self._tool_source, self._person, self._valid_days, self._folder)
         plot = path.with_suffix(".html")
         names = ", ".join(each.key.partition(".")[2] for each in found.constants)
         title = f"{self.tool.title}: {names}, {date.today()}"
-        plot.write_text(_page(found, title), encoding="utf-8")
+        plot.write_text(_render_plot_page(found, title), encoding="utf-8")
         if self._as_json:
-            constants = [asdict(each) | {"was": before(each, self.tool)} for each in found.constants]
+            constants = [asdict(each) | {"was": read_current_value(each, self.tool)} for each in found.constants]
             print(json.dumps({"file": str(path), "plot": str(plot), "constants": constants}, indent=2))
             return
         console = Console(highlight=False)
         for each in found.constants:
-            console.print(self._line(each), soft_wrap=True)
+            console.print(self._format_constant(each), soft_wrap=True)
         for remark in found.remarks:
             console.print(f"[yellow]{escape(remark)}[/]", soft_wrap=True)
         console.print(f"Written: {path}, its plot: {plot}. Use it with --tool {path}", soft_wrap=True)
 
-    def _line(self, constant: "Constant") -> str:
-        from acquisition.bench.fits import before
+    def _format_constant(self, constant: "FittedConstant") -> str:
+        from acquisition.bench.fits import read_current_value
 
-        unit, old = constant.unit, before(constant, self.tool)
+        unit, old = constant.unit, read_current_value(constant, self.tool)
         was = f"was {old:.5g}" if old is not None else "was not given"
         return (
             f"[bold]{constant.key}[/] {constant.value:.5g} {unit} (95 %: {constant.low:.5g} to {constant.high:.5g}), "
@@ -150,8 +154,8 @@ class _Session:
 def tare(
     tool: ToolOption = None,
     person: PersonOption = None,
-    days: DaysOption = 90,
-    into: IntoOption = None,
+    days: ValidDaysOption = 90,
+    into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
@@ -160,13 +164,13 @@ def tare(
 
     Example: graspwatch calibrate tare --tool nidaq
     """
-    session = _Session(tool, config, person, days, into, yes, as_json)
-    bench = session.bench()
-    session.ask("Are the jaws open and empty, does nothing pull on the tool, and is the amplifier warm?")
+    session = _CommandLineCalibration(tool, config, person, days, into, yes, as_json)
+    bench = session.open_bench()
+    session.confirm("Are the jaws open and empty, does nothing pull on the tool, and is the amplifier warm?")
     from acquisition.bench import fits
 
-    rest = session.read(bench.at_rest)
-    session.finish(lambda: fits.tare(rest, session.tool))
+    rest = session.read_with_retry(bench.read_at_rest)
+    session.finish(lambda: fits.fit_tare(rest, session.tool))
 
 
 @app.command()
@@ -176,8 +180,8 @@ def strain(
     ] = "0,2,4,6,8,10,5,0",
     tool: ToolOption = None,
     person: PersonOption = None,
-    days: DaysOption = 90,
-    into: IntoOption = None,
+    days: ValidDaysOption = 90,
+    into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
@@ -188,12 +192,12 @@ def strain(
     """
     from acquisition.bench import fits
 
-    session = _Session(tool, config, person, days, into, yes, as_json)
-    pulls_n = fits.check_pulls(_numbers(weights, "--weights"))
-    bench = session.bench()
+    session = _CommandLineCalibration(tool, config, person, days, into, yes, as_json)
+    pulls_n = fits.check_pulls(_parse_numbers(weights, "--weights"))
+    bench = session.open_bench()
 
-    def measure(pull_n: float) -> "fits.Signals":
-        reading = bench.under(pull_n)
+    def measure(pull_n: float) -> "fits.RawSignals":
+        reading = bench.read_under_pull(pull_n)
         fits.check_steady(reading, f"{pull_n:g} N", session.tool)
         return reading
 
@@ -203,7 +207,7 @@ def strain(
         measure,
         lambda pull_n, reading: f"{pull_n:>8g} N  {reading.strain_v.mean():9.4f} V",
     )
-    session.finish(lambda: fits.strain(pulls_n, readings, session.tool))
+    session.finish(lambda: fits.fit_strain(pulls_n, readings, session.tool))
 
 
 @app.command()
@@ -214,8 +218,8 @@ def stretch(
     ] = None,
     tool: ToolOption = None,
     person: PersonOption = None,
-    days: DaysOption = 90,
-    into: IntoOption = None,
+    days: ValidDaysOption = 90,
+    into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
@@ -226,19 +230,26 @@ def stretch(
     """
     from acquisition.bench import fits
 
-    session = _Session(
-        tool, config, person, days, into, yes or bool(recordings), as_json, RECORDED_WITH if recordings else None
+    session = _CommandLineCalibration(
+        tool,
+        config,
+        person,
+        days,
+        into,
+        yes or bool(recordings),
+        as_json,
+        DEFAULT_RECORDING_TOOL if recordings else None,
     )
     if recordings:
-        from acquisition.bench.measuring import passes_in
-        from acquisition.recordings.playing import Recording
+        from acquisition.bench.measuring import extract_recorded_passes
+        from acquisition.recordings.playing import RecordingSource
 
-        passes = [each for path in recordings for each in passes_in(Recording(path, session.tool))]
+        passes = [each for path in recordings for each in extract_recorded_passes(RecordingSource(path, session.tool))]
     else:
-        bench = session.bench()
-        session.ask(EMPTY)
-        passes = session.read(bench.shut)
-    session.finish(lambda: fits.stretch(passes, session.tool))
+        bench = session.open_bench()
+        session.confirm(EMPTY_JAWS_QUESTION)
+        passes = session.read_with_retry(bench.read_closed_jaws)
+    session.finish(lambda: fits.fit_stretch(passes, session.tool))
 
 
 @app.command()
@@ -248,8 +259,8 @@ def geometry(
     ] = "0,2,4,6,8",
     tool: ToolOption = None,
     person: PersonOption = None,
-    days: DaysOption = 90,
-    into: IntoOption = None,
+    days: ValidDaysOption = 90,
+    into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
     as_json: JsonOption = False,
@@ -262,8 +273,8 @@ def geometry(
     """
     from acquisition.bench import fits
 
-    session = _Session(tool, config, person, days, into, yes, as_json)
-    gauges_m = fits.check_gauges([each * 1e-3 for each in _numbers(gauges, "--gauges")])
+    session = _CommandLineCalibration(tool, config, person, days, into, yes, as_json)
+    gauges_m = fits.check_gauges([each * 1e-3 for each in _parse_numbers(gauges, "--gauges")])
 
     def question(gauge_m: float) -> str:
         what = f"the gauge of {gauge_m * 1e3:g} mm between the jaws" if gauge_m else "nothing between the jaws"
@@ -272,20 +283,20 @@ def geometry(
     passes = session.read_each(
         gauges_m.tolist(),
         question,
-        session.bench().on_gauge,
+        session.open_bench().read_on_gauge,
         lambda gauge_m, found: f"{gauge_m * 1e3:>8g} mm  {found.encoder_deg.mean():9.1f} degrees",
     )
-    session.finish(lambda: fits.geometry(gauges_m, passes, session.tool))
+    session.finish(lambda: fits.fit_geometry(gauges_m, passes, session.tool))
 
 
-def _numbers(text: str, option: str) -> list[float]:
+def _parse_numbers(text: str, option: str) -> list[float]:
     try:
         return [float(each) for each in text.split(",")]
     except ValueError:
         raise ConfigurationError(f"{option} takes numbers with commas between, like 0,2,4,6; found: {text}") from None
 
 
-def _page(fit: "Fit", title: str) -> str:
+def _render_plot_page(fit: "CalibrationFit", title: str) -> str:
     """The plot as a page of its own."""
     import plotly.graph_objects as go  # takes a second
 

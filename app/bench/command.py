@@ -8,13 +8,13 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from app.options import ConfigOption, JsonOption, ToolOption, errors
+from app.options import ConfigOption, JsonOption, ToolOption, error_console
 from config.errors import ConfigurationError, ToolError
 from config.load import load_library, load_settings, load_tool
 from config.schema import ToolKind
 
-STYLES = {"pass": "green", "fail": "bold red", "not done": "yellow"}
-QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
+OUTCOME_STYLES = {"pass": "green", "fail": "bold red", "not done": "yellow"}
+EMPTY_JAWS_QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
 
 
 def check(
@@ -34,34 +34,34 @@ def check(
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to check.")
 
-    from acquisition.bench.checks import Outcome  # takes a second: not before the request is known to be sound
-    from acquisition.process import at_realtime
-    from acquisition.tools import open_bench
+    from acquisition.bench.checks import CheckOutcome  # takes a second: not before the request is known to be sound
+    from acquisition.process import hold_realtime_priority
+    from acquisition.tools import open_hardware_check
     from acquisition.worker import REALTIME_PRIORITY
 
     def may_move() -> bool:
-        is_asked = move is None and errors.is_terminal and not as_json
-        return typer.confirm(QUESTION, err=True) if is_asked else bool(move)
+        is_asked = move is None and error_console.is_terminal and not as_json
+        return typer.confirm(EMPTY_JAWS_QUESTION, err=True) if is_asked else bool(move)
 
-    reading = at_realtime(REALTIME_PRIORITY)  # as the worker will
+    reading = hold_realtime_priority(REALTIME_PRIORITY)  # as the worker will
     console, findings = Console(highlight=False), []
-    for finding in open_bench(chosen, load_library(settings.library), reading).findings(may_move):
+    for finding in open_hardware_check(chosen, load_library(settings.library), reading).run_checks(may_move):
         findings.append(finding)
-        if not as_json and finding.outcome is not Outcome.NOT_DONE:
-            console.print(_line(finding.outcome, finding.check, finding.text), soft_wrap=True)
-    not_done = [finding for finding in findings if finding.outcome is Outcome.NOT_DONE]
+        if not as_json and finding.outcome is not CheckOutcome.NOT_DONE:
+            console.print(_format_finding(finding.outcome, finding.check, finding.text), soft_wrap=True)
+    not_done = [finding for finding in findings if finding.outcome is CheckOutcome.NOT_DONE]
     if as_json:
         print(json.dumps({"tool": chosen.name, "checks": [asdict(finding) for finding in findings]}, indent=2))
     else:
         for text in dict.fromkeys(finding.text for finding in not_done):
             names = ", ".join(finding.check for finding in not_done if finding.text == text)
-            console.print(_line(Outcome.NOT_DONE, names, text), soft_wrap=True)
-    failed = [finding.check for finding in findings if finding.outcome is Outcome.FAIL]
+            console.print(_format_finding(CheckOutcome.NOT_DONE, names, text), soft_wrap=True)
+    failed = [finding.check for finding in findings if finding.outcome is CheckOutcome.FAIL]
     if failed:
         raise ToolError(f"{chosen.title} is not ready: {', '.join(failed)}. Do what stands beside, then check again.")
     if not as_json:
         console.print(f"{chosen.title}: all is well" + (f"; {len(not_done)} checks not done." if not_done else "."))
 
 
-def _line(outcome: str, check: str, text: str) -> str:
-    return f"[{STYLES[outcome]}]{outcome:<8}[/] {check}: {escape(text)}"
+def _format_finding(outcome: str, check: str, text: str) -> str:
+    return f"[{OUTCOME_STYLES[outcome]}]{outcome:<8}[/] {check}: {escape(text)}"

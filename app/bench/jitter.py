@@ -10,10 +10,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from app.options import ConfigOption, JsonOption, ToolOption, errors
+from app.options import ConfigOption, JsonOption, ToolOption, error_console
 from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
-from config.schema import Realtime, ToolKind
+from config.schema import RealtimeSettings, ToolKind
 
 
 def bench(
@@ -36,21 +36,21 @@ def bench(
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to measure.")
 
-    from acquisition.bench.jitter import load, measure  # takes a second
+    from acquisition.bench.jitter import cpu_load, measure_jitter  # takes a second
     from acquisition.tools import open_tool
     from acquisition.worker import REALTIME_PRIORITY
 
     last_core = max(os.sched_getaffinity(0))
     ways = {
-        "nothing": Realtime(priority=False, freeze_garbage=False),
+        "nothing": RealtimeSettings(priority=False, freeze_garbage=False),
         "as configured": settings.realtime,
-        "everything": Realtime(lock_memory=True, cores=(last_core,)),
+        "everything": RealtimeSettings(lock_memory=True, cores=(last_core,)),
     }
     found = []
     for busy in (False, True):
         for name, wanted in ways.items():
-            with errors.status(f"Measuring: {name}, {'busy' if busy else 'idle'}"), load(busy):
-                result = measure(open_tool, chosen, library, settings, wanted, REALTIME_PRIORITY, seconds)
+            with error_console.status(f"Measuring: {name}, {'busy' if busy else 'idle'}"), cpu_load(busy):
+                result = measure_jitter(open_tool, chosen, library, settings, wanted, REALTIME_PRIORITY, seconds)
             found.append({"asked for": name, "machine": "busy" if busy else "idle", **asdict(result)})
     if as_json:
         about = {"machine": f"{platform.system()} {platform.release()}", "cores": os.cpu_count(), "tool": chosen.name}

@@ -3,12 +3,12 @@
 from datetime import date, timedelta
 from pathlib import Path
 
-from acquisition.bench.fits import Fit
-from config.schema import Measured
-from config.writing import write_calibrated
+from acquisition.bench.fits import CalibrationFit
+from config.schema import ConstantMeasurement
+from config.writing import write_calibrated_tool
 
 
-def write_fit(fit: Fit, tool: str, person: str, valid_days: int, into: Path) -> Path:
+def write_calibration_file(fit: CalibrationFit, tool: str, person: str, valid_days: int, folder: Path) -> Path:
     """A tool file like that of `tool` (a name or a path), with what was fitted today and how that came about.
 
     Raises:
@@ -16,7 +16,7 @@ def write_fit(fit: Fit, tool: str, person: str, valid_days: int, into: Path) -> 
     """
     today = date.today()
     measured = [
-        Measured(
+        ConstantMeasurement(
             constant=each.key.partition(".")[2],
             value=each.value,
             low=each.low,
@@ -32,4 +32,4 @@ def write_fit(fit: Fit, tool: str, person: str, valid_days: int, into: Path) -> 
         for each in fit.constants
     ]
     values = {each.key: each.value for each in fit.constants}
-    return write_calibrated(tool, values, measured, today, into)
+    return write_calibrated_tool(tool, values, measured, today, folder)

@@ -5,9 +5,16 @@ from typing import Annotated
 
 import typer
 
-from app.audit.local import local_deed
-from app.exchange.formats import Format
-from app.options import RECORDED_WITH, ConfigOption, DataOption, LibraryOption, ProgressBar, data_folder
+from app.audit.local import journal_local_command
+from app.exchange.formats import ExportFormat
+from app.options import (
+    DEFAULT_RECORDING_TOOL,
+    ConfigOption,
+    DataOption,
+    LibraryOption,
+    ProgressBar,
+    prepare_data_folder,
+)
 from config.errors import RecordingError
 from config.load import load_library, load_settings, load_tool
 
@@ -16,7 +23,7 @@ def import_(
     files: Annotated[list[Path], typer.Argument(metavar="FILE", help="LabVIEW logs: .lvm, .lvm.gz.")],
     tool: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Tool file that names the channels and their calibration.")
-    ] = RECORDED_WITH,
+    ] = DEFAULT_RECORDING_TOOL,
     tissue: Annotated[str | None, typer.Option(help="What was held, if it is known.")] = None,
     library: LibraryOption = None,
     config: ConfigOption = None,
@@ -28,21 +35,21 @@ def import_(
     """
     settings = load_settings(config)
     profiles, rig_tool = load_library(library or settings.library), load_tool(tool)
-    folder = data_folder(data, settings) / "recordings"
+    folder = prepare_data_folder(data, settings) / "recordings"
 
     from app.exchange.importing import import_labview  # takes a second: not before the request is known to be sound
-    from app.record.run_file import Rig
+    from app.record.run_file import RecordingContext
 
     for path in files:
-        noted = local_deed(folder.parent, "import", f"Import {path.name}")
+        noted = journal_local_command(folder.parent, "import", f"Import {path.name}")
         with noted, ProgressBar(path.name, 1.0) as progress:
-            written = import_labview(path, folder, Rig(rig_tool, profiles, settings), tissue, progress)
+            written = import_labview(path, folder, RecordingContext(rig_tool, profiles, settings), tissue, progress)
         print(written)
 
 
 def export(
     run: Annotated[str, typer.Argument(metavar="RUN|FILE", help="Id of a run of the data folder, or an .mcap file.")],
-    wanted: Annotated[Format, typer.Option("--format", help="What to write.")],
+    export_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where to; default: the run's name in this folder.")
     ] = None,
@@ -53,14 +60,14 @@ def export(
 
     Example: graspwatch export 20261127-101500-001 --format parquet
     """
-    source = recording_of(run, config, data)
-    from app.exchange.exporting import export as write
+    source = find_recording_file(run, config, data)
+    from app.exchange.exporting import export_run as write
 
-    for path in write(source, out or Path(f"{source.stem}.{wanted.value}"), wanted):
+    for path in write(source, out or Path(f"{source.stem}.{export_format.value}"), export_format):
         print(path)
 
 
-def recording_of(run: str, config: Path | None, data: Path | None) -> Path:
+def find_recording_file(run: str, config: Path | None, data: Path | None) -> Path:
     """The file of a run, named by its path or, in the data folder, by its id.
 
     Raises:
@@ -71,7 +78,7 @@ def recording_of(run: str, config: Path | None, data: Path | None) -> Path:
         return named
     if run.endswith((".lvm", ".lvm.gz")):
         raise RecordingError(f"{run}: there is no such file. Check the path.")
-    folder = data_folder(data, load_settings(config)) / "recordings"
+    folder = prepare_data_folder(data, load_settings(config)) / "recordings"
     path = folder / f"{run}.mcap"
     if not path.is_file():
         raise RecordingError(f"There is no recording of a run {run!r} in {folder}. Name another folder with --data.")

@@ -11,15 +11,15 @@ import pyarrow.csv
 import pyarrow.parquet
 import scipy.io
 
-from acquisition.recordings.container import Container
-from app.exchange.formats import Format
-from app.record.reading import RecordedRun, columns_of_run, read_run
+from acquisition.recordings.container import McapFile
+from app.exchange.formats import ExportFormat
+from app.record.reading import RecordedRun, build_run_columns, read_run
 from config.errors import RecordingError
 
-MAT_MOST_BYTES = 2**31  # of one variable in MATLAB's format of version 5
+MAX_MAT_VARIABLE_BYTES = 2**31  # of one variable in MATLAB's format of version 5
 
 
-def export(source: Path, target: Path, wanted: Format) -> list[Path]:
+def export_run(source: Path, target: Path, export_format: ExportFormat) -> list[Path]:
     """Write a run's file as another; returns what was written, complete or not at all.
 
     CSV and Parquet hold a row for each sample, and beside it a file `…-grasps` with a row for each grasp; a MATLAB file
@@ -29,18 +29,18 @@ def export(source: Path, target: Path, wanted: Format) -> list[Path]:
         RecordingError: the source cannot be read, the target exists or cannot be written.
     """
     grasps = target.with_name(f"{target.stem}-grasps{target.suffix}")
-    targets = [target, grasps] if wanted in (Format.CSV, Format.PARQUET) else [target]
+    targets = [target, grasps] if export_format in (ExportFormat.CSV, ExportFormat.PARQUET) else [target]
     for path in targets:
         if path.exists():
             raise RecordingError(f"{path}: exists already, and is kept. Name another file with --out.")
     provisional = {path: path.with_name(f".{path.name}.part") for path in targets}
     try:
-        if wanted is Format.MCAP:
-            Container(source)  # says what is wrong with it
+        if export_format is ExportFormat.MCAP:
+            McapFile(source)  # says what is wrong with it
             shutil.copyfile(source, provisional[target])
         else:
             run = read_run(source)
-            _WRITERS[wanted](run, *provisional.values())
+            _WRITERS[export_format](run, *provisional.values())
         for path, part in provisional.items():
             part.rename(path)
     except OSError as error:
@@ -51,20 +51,20 @@ def export(source: Path, target: Path, wanted: Format) -> list[Path]:
     return targets
 
 
-def _about(run: RecordedRun) -> dict[str, str]:
-    tool, library = run.rig.tool, run.rig.library
-    return run.about | {
-        "force_scale": tool.scale_in_words,
+def _build_metadata(run: RecordedRun) -> dict[str, str]:
+    tool, library = run.recording_context.tool, run.recording_context.library
+    return run.metadata | {
+        "force_scale": tool.scale_text,
         "tool_file": tool.model_dump_json(),
         "tissue_library": library.model_dump_json(),
     }
 
 
-def _sample_table(run: RecordedRun) -> pa.Table:
-    return pa.table(columns_of_run(run)).replace_schema_metadata(_about(run))
+def _build_sample_table(run: RecordedRun) -> pa.Table:
+    return pa.table(build_run_columns(run)).replace_schema_metadata(_build_metadata(run))
 
 
-def _grasp_rows(run: RecordedRun) -> list[dict[str, object]]:
+def _build_grasp_rows(run: RecordedRun) -> list[dict[str, object]]:
     """Grasps with one value a cell: what is told of each tissue gets a column of its own."""
     rows = []
     for grasp in run.grasps:
@@ -79,13 +79,13 @@ def _grasp_rows(run: RecordedRun) -> list[dict[str, object]]:
 
 
 def _write_csv(run: RecordedRun, samples: Path, grasps: Path) -> None:
-    table = _sample_table(run)
-    columns = [_without_nan(column) for column in table.columns]
+    table = _build_sample_table(run)
+    columns = [_nan_to_null(column) for column in table.columns]
     pyarrow.csv.write_csv(pa.table(columns, names=table.column_names), samples)
-    pyarrow.csv.write_csv(pa.Table.from_pylist(_grasp_rows(run)), grasps)
+    pyarrow.csv.write_csv(pa.Table.from_pylist(_build_grasp_rows(run)), grasps)
 
 
-def _without_nan(column: pa.ChunkedArray) -> pa.ChunkedArray:
+def _nan_to_null(column: pa.ChunkedArray) -> pa.ChunkedArray:
     """An empty cell in place of NaN."""
     if not pa.types.is_floating(column.type):
         return column
@@ -93,18 +93,18 @@ def _without_nan(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def _write_parquet(run: RecordedRun, samples: Path, grasps: Path) -> None:
-    pyarrow.parquet.write_table(_sample_table(run), samples, compression="zstd")
-    pyarrow.parquet.write_table(pa.Table.from_pylist(_grasp_rows(run)), grasps)
+    pyarrow.parquet.write_table(_build_sample_table(run), samples, compression="zstd")
+    pyarrow.parquet.write_table(pa.Table.from_pylist(_build_grasp_rows(run)), grasps)
 
 
 def _write_mat(run: RecordedRun, target: Path) -> None:
-    columns = columns_of_run(run)
-    if max(values.nbytes for values in columns.values()) >= MAT_MOST_BYTES:
+    columns = build_run_columns(run)
+    if max(values.nbytes for values in columns.values()) >= MAX_MAT_VARIABLE_BYTES:
         raise RecordingError(f"{run.path}: is too long for a MATLAB file. Export it as parquet.")
-    rows = _grasp_rows(run)
+    rows = _build_grasp_rows(run)
     names = list(dict.fromkeys(name for row in rows for name in row))
-    grasps = {name[:63]: _matlab([row.get(name) for row in rows]) for name in names}
-    about = {key: value for key, value in _about(run).items() if value}
+    grasps = {name[:63]: _to_matlab_column([row.get(name) for row in rows]) for name in names}
+    about = {key: value for key, value in _build_metadata(run).items() if value}
     with target.open("wb") as file:  # given a name, scipy would add an ending to it
         scipy.io.savemat(
             file,
@@ -118,7 +118,7 @@ def _write_mat(run: RecordedRun, target: Path) -> None:
         )
 
 
-def _matlab(values: list[object]) -> np.ndarray:
+def _to_matlab_column(values: list[object]) -> np.ndarray:
     """A column of numbers, NaN where there is none; or of texts, as cells."""
     if all(isinstance(value, int | float | None) for value in values):
         return np.array([np.nan if value is None else float(value) for value in values])
@@ -127,8 +127,8 @@ def _matlab(values: list[object]) -> np.ndarray:
     return cells
 
 
-_WRITERS: dict[Format, Callable[..., None]] = {
-    Format.CSV: _write_csv,
-    Format.PARQUET: _write_parquet,
-    Format.MAT: _write_mat,
+_WRITERS: dict[ExportFormat, Callable[..., None]] = {
+    ExportFormat.CSV: _write_csv,
+    ExportFormat.PARQUET: _write_parquet,
+    ExportFormat.MAT: _write_mat,
 }

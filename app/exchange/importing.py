@@ -5,19 +5,25 @@ from collections.abc import Callable
 from datetime import UTC
 from pathlib import Path
 
-from acquisition.pipeline import Pipeline
-from acquisition.recordings.lvm import started_at
-from acquisition.recordings.playing import Recording
-from app.record.headless_file import ENDING, HeadlessFile, new_run
-from app.record.run_file import Rig
+from acquisition.pipeline import ConditioningPipeline
+from acquisition.recordings.lvm import read_start_time
+from acquisition.recordings.playing import RecordingSource
+from app.record.headless_file import RECORDING_SUFFIX, HeadlessRecorder, create_run
+from app.record.run_file import RecordingContext
 from app.wire import RunState
 from config.errors import RecordingError
-from estimator.session import EstimationSession
+from estimator.session import TissueEstimator
 
-PROTOCOL = "imported"  # what was commanded stands in the samples
+IMPORTED_PROTOCOL = "imported"  # what was commanded stands in the samples
 
 
-def import_labview(source: Path, folder: Path, rig: Rig, tissue: str | None, progress: Callable[[float], None]) -> Path:
+def import_labview(
+    source: Path,
+    folder: Path,
+    recording_context: RecordingContext,
+    tissue: str | None,
+    progress: Callable[[float], None],
+) -> Path:
     """Write the recording of a LabVIEW log into `folder`; returns its file.
 
     `rig.tool` names its channels and their calibration.
@@ -26,40 +32,50 @@ def import_labview(source: Path, folder: Path, rig: Rig, tissue: str | None, pro
         RecordingError: it cannot be read (names file and line), is no LabVIEW log, was imported before, or there is no
             room.
     """
-    path = folder / (_stem(source) + ENDING)
-    recording = Recording(source, rig.tool)
-    if recording.container:
+    path = folder / (_name_without_suffixes(source) + RECORDING_SUFFIX)
+    recording = RecordingSource(source, recording_context.tool)
+    if recording.mcap_file:
         raise RecordingError(f"{source}: is an MCAP recording already. Copy it to {folder}.")
-    began = started_at(source)
+    began = read_start_time(source)
     about = {
         "imported_from": source.name,
         "imported_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
         "imported_begun": f"{began.isoformat()}, in a zone that it does not say" if began else "not said",
     }
     started_ns = round(began.replace(tzinfo=UTC).timestamp() * 1e6) * 1000 if began else source.stat().st_mtime_ns
-    run = new_run(path.stem, PROTOCOL, 1, tissue)
+    run = create_run(path.stem, IMPORTED_PROTOCOL, 1, tissue)
     if began:
         run = run.model_copy(update={"started_at": began.replace(tzinfo=UTC).isoformat()})
-    with recording, HeadlessFile(path, rig, run, started_ns=started_ns, about=about, can_be_repeated=True) as file:
-        _take(recording, rig, file, progress)
+    with (
+        recording,
+        HeadlessRecorder(
+            path, recording_context, run, started_ns=started_ns, metadata=about, discard_on_error=True
+        ) as file,
+    ):
+        _process_recording(recording, recording_context, file, progress)
         file.run = file.run.model_copy(update={"cycles": max(file.run.grasps, 1)})
-        file.run_ended(RunState.FINISHED, f"imported from {source.name}")
+        file.end_run(RunState.FINISHED, f"imported from {source.name}")
     return path
 
 
-def _take(recording: Recording, rig: Rig, file: HeadlessFile, progress: Callable[[float], None]) -> None:
-    pipeline = Pipeline(rig.tool, rig.settings.conditioning)
-    session = EstimationSession(rig.tool, rig.library, rig.settings)
+def _process_recording(
+    recording: RecordingSource,
+    recording_context: RecordingContext,
+    file: HeadlessRecorder,
+    progress: Callable[[float], None],
+) -> None:
+    pipeline = ConditioningPipeline(recording_context.tool, recording_context.settings.conditioning)
+    session = TissueEstimator(recording_context.tool, recording_context.library, recording_context.settings)
     done = 0
     while (raw := recording.read_block()) is not None:
         block = pipeline.process(raw)
-        file.take(block, session.process(block))
+        file.append(block, session.process(block))
         done += len(raw)
-        progress(done / recording.samples)
-    file.cut_short(session.finish())
+        progress(done / recording.sample_count)
+    file.add_interrupted_grasp(session.finish())
 
 
-def _stem(source: Path) -> str:
+def _name_without_suffixes(source: Path) -> str:
     name = source.name
     for ending in (".gz", ".lvm"):
         name = name.removesuffix(ending)

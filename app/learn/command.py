@@ -10,14 +10,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from app.learn.labels import labelled_files
-from app.options import RECORDED_WITH, ProgressBar, errors
+from app.learn.labels import parse_labels
+from app.options import DEFAULT_RECORDING_TOOL, ProgressBar, error_console
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary, Tool
 
 if TYPE_CHECKING:
-    from app.learn.gather import Gathered
-    from estimator.studies.report import Study
+    from app.learn.gather import TrainingSet
+    from estimator.studies.report import StudyResult
 
 READING_SHARE = 0.3  # of the time that learning takes
 
@@ -40,7 +40,7 @@ def learn(
         typer.Option(
             metavar="NAME|FILE",
             help="Tool file with the recordings' channels and calibration; default: the one in the first .mcap file, "
-            f"for LabVIEW's {RECORDED_WITH}.",
+            f"for LabVIEW's {DEFAULT_RECORDING_TOOL}.",
         ),
     ] = None,
     base: Annotated[
@@ -60,65 +60,73 @@ def learn(
 
     Example: graspwatch learn --label liver=liver4Hz1.lvm.gz --label bladder=bladder4Hz1.lvm.gz --out learned.toml
     """
-    from app.learn.writing import as_toml, check_writable, write_whole
+    from app.learn.writing import check_writable, library_to_toml, write_atomically
 
-    files, settings = labelled_files(label), load_settings(config)
-    rig, like = load_tool(tool) if tool else _recorded_with(files), load_library(base)
+    files, settings = parse_labels(label), load_settings(config)
+    rig, like = load_tool(tool) if tool else _find_recording_tool(files), load_library(base)
     page, data = (out.with_name(f"{out.stem}-report.{kind}") for kind in ("html", "json"))
     check_writable(out)
 
-    from app.learn.gather import gather  # takes a second: not before the request is known to be sound
-    from app.learn.report import report
-    from estimator.learning.fit import fit
-    from estimator.learning.grasps import Recorded, curves_of, usual_peak_v
-    from estimator.learning.validation import validate
+    from app.learn.gather import load_training_set  # takes a second: not before the request is known to be sound
+    from app.learn.report import build_report
+    from estimator.learning.fit import fit_library
+    from estimator.learning.grasps import LabeledRecording, estimate_usual_peak_v, extract_loading_curves
+    from estimator.learning.validation import cross_validate
 
-    def of(recordings: Sequence[Recorded]) -> TissueLibrary:
-        peak_v = usual_peak_v(recordings)
-        curves = [curves_of(each, rig, peak_v) for each in recordings]
-        return fit(curves, rig, like, base, peak_v, name="validated", date=today)
+    def of(recordings: Sequence[LabeledRecording]) -> TissueLibrary:
+        peak_v = estimate_usual_peak_v(recordings)
+        curves = [extract_loading_curves(each, rig, peak_v) for each in recordings]
+        return fit_library(curves, rig, like, base, peak_v, name="validated", date=today)
 
     today = date.today().isoformat()
     with ProgressBar("learning", 1.0) as progress:
-        found = gather(files, rig, like, settings, least, lambda share: progress(READING_SHARE * share))
-        library = fit(found.curves, rig, like, base, found.peak_v, name=_slug(out.stem), date=today)
-        answers = validate(
+        found = load_training_set(files, rig, like, settings, least, lambda share: progress(READING_SHARE * share))
+        library = fit_library(
+            found.curves, rig, like, base, found.peak_v, name=_make_library_name(out.stem), date=today
+        )
+        answers = cross_validate(
             found.recordings,
             of,
             rig,
             settings.identification,
             lambda share: progress(READING_SHARE + (1 - READING_SHARE) * share),
         )
-    study = report(library.name, library, answers, {"tool": rig.name, "base": base, "date": today})
-    write_whole(page, study.page())
-    write_whole(data, json.dumps(study.document(), indent=2, allow_nan=False) + "\n")
-    write_whole(out, as_toml(library))
-    _show(study, library, found, out, page, data, as_json)
+    study = build_report(library.name, library, answers, {"tool": rig.name, "base": base, "date": today})
+    write_atomically(page, study.render_page())
+    write_atomically(data, json.dumps(study.to_document(), indent=2, allow_nan=False) + "\n")
+    write_atomically(out, library_to_toml(library))
+    _print_result(study, library, found, out, page, data, as_json)
 
 
-def _recorded_with(files: dict[str, list[Path]]) -> Tool:
+def _find_recording_tool(files: dict[str, list[Path]]) -> Tool:
     """The tool that the first file which knows its own was recorded with, else that of the lab's LabVIEW logs."""
-    from acquisition.recordings.container import Container
-    from acquisition.recordings.playing import is_mcap, tool_of
+    from acquisition.recordings.container import McapFile
+    from acquisition.recordings.playing import is_mcap, read_recorded_tool
 
     known = (path for paths in files.values() for path in paths if is_mcap(path))
     first = next(known, None)
-    return tool_of(Container(first)) if first else load_tool(RECORDED_WITH)
+    return read_recorded_tool(McapFile(first)) if first else load_tool(DEFAULT_RECORDING_TOOL)
 
 
-def _slug(text: str) -> str:
+def _make_library_name(text: str) -> str:
     """A file's name as a library's name."""
     letters = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in text.lower()).strip("_")
     return letters or "learned"
 
 
-def _show(
-    study: "Study", library: TissueLibrary, found: "Gathered", out: Path, page: Path, data: Path, as_json: bool
+def _print_result(
+    study: "StudyResult",
+    library: TissueLibrary,
+    training_set: "TrainingSet",
+    out: Path,
+    page: Path,
+    data: Path,
+    as_json: bool,
 ) -> None:
-    for remark in [*found.remarks, *_warnings(library)]:
-        errors.print(f"[yellow]Note:[/] {remark}", soft_wrap=True)
+    for remark in [*training_set.remarks, *_missing_threshold_warnings(library)]:
+        error_console.print(f"[yellow]Note:[/] {remark}", soft_wrap=True)
     if as_json:
-        print(json.dumps(_document(study, library, out), indent=2, allow_nan=False))
+        print(json.dumps(_build_document(study, library, out), indent=2, allow_nan=False))
         return
     console = Console()
     tissues = Table("Tissue", "Recordings", "Grasps", "alpha", "beta", "d", "Threshold", title=library.title)
@@ -142,11 +150,11 @@ def _show(
     console.print(f"Library: {out}\nReport: {page}\nFigures: {data}", soft_wrap=True, highlight=False)
 
 
-def _warnings(library: TissueLibrary) -> list[str]:
-    from estimator.learning.fit import base_tissue
+def _missing_threshold_warnings(library: TissueLibrary) -> list[str]:
+    from estimator.learning.fit import find_base_tissue
 
     base = load_library(library.learned.base) if library.learned else library
-    strange = [name for name in library.tissues if base_tissue(name, base) is None]
+    strange = [name for name in library.tissues if find_base_tissue(name, base) is None]
     if not strange:
         return []
     lowest = min(each.threshold_pa for each in base.tissues.values()) / 1e3
@@ -156,9 +164,9 @@ def _warnings(library: TissueLibrary) -> list[str]:
     ]
 
 
-def _document(study: "Study", library: TissueLibrary, out: Path) -> dict[str, Any]:
+def _build_document(study: "StudyResult", library: TissueLibrary, out: Path) -> dict[str, Any]:
     return {
         "library": str(out),
         "tissues": library.model_dump(mode="json", exclude_none=True)["tissues"],
-        **study.document(),
+        **study.to_document(),
     }

@@ -10,40 +10,40 @@ from typer.core import TyperCommand
 
 from config.errors import ConfigurationError
 
-OPTION = "--label"
-SLUG = re.compile(r"[a-z0-9][a-z0-9_]*")
-RESERVED = ("unknown", "undecided")
+LABEL_OPTION = "--label"
+TISSUE_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_]*")
+RESERVED_NAMES = ("unknown", "undecided")
 
 
 class LearnCommand(TyperCommand):
     """Takes `--label liver=a b c` as well: files that follow a label belong to it."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, spread_labels(args))
+        return super().parse_args(ctx, expand_label_arguments(args))
 
     def format_usage(self, ctx: click.Context, formatter: Any) -> None:
         formatter.write_usage(ctx.command_path, "[OPTIONS] --label TISSUE=FILE... --label TISSUE=FILE... --out FILE")
 
 
-def spread_labels(args: list[str]) -> list[str]:
+def expand_label_arguments(args: list[str]) -> list[str]:
     """Arguments with a `--label` of its own before every file that follows one."""
     result: list[str] = []
     label: str | None = None
     before = ""
     for arg in args:
-        named = before == OPTION or arg.startswith(f"{OPTION}=")
+        named = before == LABEL_OPTION or arg.startswith(f"{LABEL_OPTION}=")
         if named:
-            label = arg.removeprefix(f"{OPTION}=").partition("=")[0]
+            label = arg.removeprefix(f"{LABEL_OPTION}=").partition("=")[0]
         elif arg.startswith("-"):
             label = None
         elif label is not None:
-            arg = f"{OPTION}={label}={arg}"
+            arg = f"{LABEL_OPTION}={label}={arg}"
         result.append(arg)
         before = arg
     return result
 
 
-def labelled_files(labels: list[str]) -> dict[str, list[Path]]:
+def parse_labels(labels: list[str]) -> dict[str, list[Path]]:
     """Files of each tissue, from `TISSUE=FILE`, `TISSUE=FILE,FILE` and patterns such as `TISSUE=liver*.lvm.gz`.
 
     Raises:
@@ -58,14 +58,14 @@ def labelled_files(labels: list[str]) -> dict[str, list[Path]]:
                 f"--label {text}: expected TISSUE=FILE, for example --label liver=liver4Hz1.lvm.gz. Name at least one "
                 "recording for each tissue."
             )
-        if not SLUG.fullmatch(name) or name in RESERVED:
-            why = "is reserved for grasps that fit no tissue" if name in RESERVED else "is no name for a tissue"
+        if not TISSUE_NAME_PATTERN.fullmatch(name) or name in RESERVED_NAMES:
+            why = "is reserved for grasps that fit no tissue" if name in RESERVED_NAMES else "is no name for a tissue"
             raise ConfigurationError(f"--label {text}: {name!r} {why}. Use letters, digits and underscores.")
-        result.setdefault(name, []).extend(_files(files, text))
+        result.setdefault(name, []).extend(_expand_file_patterns(files, text))
     return result
 
 
-def _files(text: str, label: str) -> list[Path]:
+def _expand_file_patterns(text: str, label: str) -> list[Path]:
     if Path(text).exists():
         return [Path(text)]
     found: list[Path] = []

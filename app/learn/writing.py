@@ -30,12 +30,12 @@ def check_writable(path: Path) -> None:
         ) from None
 
 
-def as_toml(library: TissueLibrary) -> str:
+def library_to_toml(library: TissueLibrary) -> str:
     """A library as its file has it."""
     return tomli_w.dumps(library.model_dump(mode="json", exclude_none=True))
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_atomically(path: Path, text: str) -> None:
     """Write a text file beside its place and move it there: nobody ever finds half of it.
 
     Raises:

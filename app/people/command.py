@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from app.options import ConfigOption, DataOption, JsonOption, data_folder, errors
+from app.options import ConfigOption, DataOption, JsonOption, error_console, prepare_data_folder
 from app.people import tokens
 from app.wire import Role
 from config.load import load_settings
@@ -37,8 +37,8 @@ def add(
 
     Example: graspwatch token add Ada --role operator --expires 30
     """
-    token = tokens.add(data_folder(data, load_settings(config)), name, role, expires)
-    errors.print(f"The token of {name}, {role.value}. It is shown this once:", markup=False, soft_wrap=True)
+    token = tokens.add_token(prepare_data_folder(data, load_settings(config)), name, role, expires)
+    error_console.print(f"The token of {name}, {role.value}. It is shown this once:", markup=False, soft_wrap=True)
     print(token)
 
 
@@ -48,7 +48,7 @@ def list_(config: ConfigOption = None, data: DataOption = None, as_json: JsonOpt
 
     Example: graspwatch token list
     """
-    people = tokens.read(data_folder(data, load_settings(config)))
+    people = tokens.read_tokens(prepare_data_folder(data, load_settings(config)))
     if as_json:
         print(json.dumps([entry.model_dump(mode="json", exclude={"sha256"}) for entry in people], indent=2))
         return
@@ -56,7 +56,7 @@ def list_(config: ConfigOption = None, data: DataOption = None, as_json: JsonOpt
     for heading in ("Name", "Role", "Made", "State"):
         table.add_column(heading)
     for entry in people:
-        table.add_row(entry.name, entry.role.value, f"{entry.created_at:%Y-%m-%d}", entry.state)
+        table.add_row(entry.name, entry.role.value, f"{entry.created_at:%Y-%m-%d}", entry.state_text)
     Console(markup=False).print(table)
 
 
@@ -66,5 +66,5 @@ def revoke(name: NameArgument, config: ConfigOption = None, data: DataOption = N
 
     Example: graspwatch token revoke Ada
     """
-    tokens.revoke(data_folder(data, load_settings(config)), name)
-    errors.print(f"The token of {name} is good for nothing any more.", markup=False, soft_wrap=True)
+    tokens.revoke_token(prepare_data_folder(data, load_settings(config)), name)
+    error_console.print(f"The token of {name} is good for nothing any more.", markup=False, soft_wrap=True)

@@ -12,34 +12,34 @@ from typing import Any
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-from app.people.tokens import FILE, read
+from app.people.tokens import TOKEN_FILE, read_tokens
 from config.errors import ConfigurationError
 from config.network import is_loopback
 
-HANDSHAKE_S = 3.0
-LINGER_S = 1.0
-NO_HANDSHAKE = b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-IN_THE_CLEAR = (
+TLS_HANDSHAKE_TIMEOUT_S = 3.0
+CLOSE_LINGER_S = 1.0
+BAD_HANDSHAKE_RESPONSE = b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+UNENCRYPTED_WARNING = (
     "Warning: tokens and all else travel unencrypted to other machines. Set --tls-cert and --tls-key, or put a proxy "
     "with TLS before a service that listens on 127.0.0.1."
 )
 
 
-def check_bind(host: str, data: Path, tls: bool) -> str | None:
+def check_listen_address(host: str, data: Path, tls: bool) -> str | None:
     """Whether a service may listen on `host`; returns what has to be said about it.
 
     Raises:
         ConfigurationError: not without tokens.
     """
-    people = read(data)
+    people = read_tokens(data)
     if is_loopback(host):
         return None
-    if not any(entry.good for entry in people):
+    if not any(entry.is_valid for entry in people):
         raise ConfigurationError(
-            f"On {host} others can reach the tool, and nobody has a good token in {data / FILE}. Make one with "
+            f"On {host} others can reach the tool, and nobody has a good token in {data / TOKEN_FILE}. Make one with "
             f"`graspwatch token add NAME --role admin --data {data}`, or listen on 127.0.0.1."
         )
-    return None if tls else IN_THE_CLEAR
+    return None if tls else UNENCRYPTED_WARNING
 
 
 def check_certificate(cert: str | None, key: str | None) -> None:
@@ -65,21 +65,21 @@ def _no_password() -> str:
     return ""
 
 
-class Loop(asyncio.SelectorEventLoop):
+class TlsTimeoutEventLoop(asyncio.SelectorEventLoop):
     """Whoever connects and does not end the handshake of TLS is not waited for: he is in no list of connections yet."""
 
     async def create_server(self, *arguments: Any, ssl: Any = None, **options: Any) -> asyncio.Server:
-        timeout_s = HANDSHAKE_S if ssl else None
+        timeout_s = TLS_HANDSHAKE_TIMEOUT_S if ssl else None
         return await super().create_server(*arguments, ssl=ssl, ssl_handshake_timeout=timeout_s, **options)
 
 
-def allow_many_files() -> None:
+def raise_open_file_limit() -> None:
     """As many as the system lets this process open: those in handshakes are to leave room for others."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
-class WebSocketDoor(WebSocketsSansIOProtocol):
+class LingeringWebSocketProtocol(WebSocketsSansIOProtocol):
     """Lets the reason of a close arrive: with input unread, a connection that is closed is reset, and the peer sees
     only that. What still comes is thrown away for a moment."""
 
@@ -88,7 +88,7 @@ class WebSocketDoor(WebSocketsSansIOProtocol):
             return
         super().data_received(data)
         if not self.handshake_initiated and self.conn.handshake_exc is not None:  # else it would never be answered
-            self.transport.write(NO_HANDSHAKE)
+            self.transport.write(BAD_HANDSHAKE_RESPONSE)
             self.transport.close()
 
     def handle_parser_exception(self) -> None:
@@ -96,33 +96,33 @@ class WebSocketDoor(WebSocketsSansIOProtocol):
         self.queue.put_nowait({"type": "websocket.disconnect", "code": why.code, "reason": why.reason})
         self.transport.write(b"".join(self.conn.data_to_send()))
         self.close_sent = True
-        self.close_timer = self.loop.call_later(LINGER_S, self.transport.close)
+        self.close_timer = self.loop.call_later(CLOSE_LINGER_S, self.transport.close)
 
 
-def bounded(most: int) -> type:
+def make_connection_limiter(max_connections: int) -> type:
     """A protocol of connections of which no more than `most` are open.
 
     Beyond that, whoever has most of them loses one: first one without a request, then the oldest. So somebody who opens
     thousands hurts himself, and a STOP gets through. WebSockets stay; the viewers have a bound of their own.
     """
 
-    class Bounded(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+    class ConnectionLimiter(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
         def connection_made(self, transport: BaseTransport) -> None:
-            self.since_s = time.monotonic()
-            if len(self.connections) >= most:
-                _make_room(self.connections)
+            self.opened_s = time.monotonic()
+            if len(self.connections) >= max_connections:
+                _close_excess_connection(self.connections)
             super().connection_made(transport)
 
-    def _make_room(connections: set[Any]) -> None:
-        mine = [each for each in connections if isinstance(each, Bounded) and each.client]
+    def _close_excess_connection(connections: set[Any]) -> None:
+        mine = [each for each in connections if isinstance(each, ConnectionLimiter) and each.client]
         if mine:
             [(busiest, _)] = Counter(each.client[0] for each in mine).most_common(1)
             its = [each for each in mine if each.client[0] == busiest]
-            victim = min(its, key=lambda each: (_is_busy(each), each.since_s))
+            victim = min(its, key=lambda each: (_is_busy(each), each.opened_s))
             connections.discard(victim)
             victim.transport.abort()
 
-    return Bounded
+    return ConnectionLimiter
 
 
 def _is_busy(connection: Any) -> bool:

@@ -6,47 +6,47 @@ from collections.abc import Callable
 from config.errors import RefusedError
 
 
-class Control:
+class ControlLease:
     """A lease by name. It ends by itself, is renewed by what its holder does, and is taken over only explicitly."""
 
     def __init__(self, expires_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._expires_s, self._clock = expires_s, clock
-        self._name: str | None = None
-        self._acted_s = 0.0
+        self._holder_name: str | None = None
+        self._last_action_s = 0.0
 
     @property
     def holder(self) -> str | None:
-        return self._name if self._name and self.expires_in_s else None
+        return self._holder_name if self._holder_name and self.expires_in_s else None
 
     @property
     def expires_in_s(self) -> float:
         """0 when nobody has it."""
-        return max(self._acted_s + self._expires_s - self._clock(), 0.0) if self._name else 0.0
+        return max(self._last_action_s + self._expires_s - self._clock(), 0.0) if self._holder_name else 0.0
 
-    def take(self, name: str, *, over: bool = False) -> str | None:
+    def acquire(self, name: str, *, take_over: bool = False) -> str | None:
         """Have control from now on; returns who had it until now.
 
         Raises:
             RefusedError: somebody else has it, and it is not taken `over`.
         """
         before = self.holder
-        if before not in (None, name) and not over:
+        if before not in (None, name) and not take_over:
             raise RefusedError(
                 f"{before} has control of the tool, and keeps it for another {self.expires_in_s / 60:.1f} min without "
                 "doing anything. Wait, ask for it, or take it over (POST /api/control with `take_over: true`).",
                 "control",
             )
-        self._name, self._acted_s = name, self._clock()
+        self._holder_name, self._last_action_s = name, self._clock()
         return before
 
     def renew(self, name: str | None) -> None:
         """Its holder has done something; of others it is nothing."""
         if name and name == self.holder:
-            self._acted_s = self._clock()
+            self._last_action_s = self._clock()
 
     def release(self, name: str) -> bool:
         """Give it back; False: he did not have it."""
         if self.holder != name:
             return False
-        self._name = None
+        self._holder_name = None
         return True

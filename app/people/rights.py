@@ -6,15 +6,15 @@ from typing import Any
 
 from fastapi import APIRouter, FastAPI
 
-from app.people.roles import Needs
-from app.problems import PROBLEM
+from app.people.roles import RoleRequirement
+from app.problems import PROBLEM_RESPONSE
 from app.wire import Role
 
-Rights = Mapping[tuple[str, str], Role | None]
-REFUSALS = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
+RoutePermissions = Mapping[tuple[str, str], Role | None]
+REFUSAL_STATUSES = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
 
 
-def rights_of(routers: Iterable[APIRouter]) -> Rights:
+def collect_route_permissions(routers: Iterable[APIRouter]) -> RoutePermissions:
     """Which role each route needs, by method (`WEBSOCKET` for one) and path; None: it is open to everybody.
 
     Raises:
@@ -22,7 +22,7 @@ def rights_of(routers: Iterable[APIRouter]) -> Rights:
     """
     declared = {}
     for route in (route for router in routers for route in router.routes):
-        said = [each.dependency.role for each in route.dependencies if isinstance(each.dependency, Needs)]
+        said = [each.dependency.role for each in route.dependencies if isinstance(each.dependency, RoleRequirement)]
         if len(said) != 1:
             raise RuntimeError(f"{route.path} does not say who may: add `dependencies=[needs(Role....)]` to it.")
         for method in getattr(route, "methods", {"WEBSOCKET"}):
@@ -30,11 +30,11 @@ def rights_of(routers: Iterable[APIRouter]) -> Rights:
     return declared
 
 
-def open_paths(rights: Rights) -> set[str]:
-    return {path for (_, path), role in rights.items() if role is None}
+def find_public_paths(permissions: RoutePermissions) -> set[str]:
+    return {path for (_, path), role in permissions.items() if role is None}
 
 
-def describe(app: FastAPI, rights: Rights) -> None:
+def add_roles_to_openapi(app: FastAPI, permissions: RoutePermissions) -> None:
     """Say in the API's description which role each operation needs, and how it refuses others."""
     plain = app.openapi
 
@@ -42,12 +42,14 @@ def describe(app: FastAPI, rights: Rights) -> None:
         if app.openapi_schema is None:
             schema = plain()
             schema["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
-            for (method, path), role in rights.items():
+            for (method, path), role in permissions.items():
                 operation = schema["paths"].get(path, {}).get(method.lower())
                 if operation and role:
                     operation |= {"security": [{"token": []}], "x-role": role.value}
-                    for status in REFUSALS:
-                        operation["responses"].setdefault(str(status.value), {"description": status.phrase, **PROBLEM})
+                    for status in REFUSAL_STATUSES:
+                        operation["responses"].setdefault(
+                            str(status.value), {"description": status.phrase, **PROBLEM_RESPONSE}
+                        )
         return app.openapi_schema or {}
 
     app.openapi = described  # type: ignore[method-assign]

@@ -20,13 +20,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from app.wire import Role
 from config.errors import ConfigurationError
 
-FILE = "people.json"
-PREFIX = "gw_"  # found by programs that look for secrets where they do not belong
+TOKEN_FILE = "people.json"
+TOKEN_PREFIX = "gw_"  # found by programs that look for secrets where they do not belong
 TOKEN_BYTES = 32
-LONGEST_NAME = 40
+MAX_NAME_LENGTH = 40
 
 
-class Entry(BaseModel):
+class TokenEntry(BaseModel):
     """One token that was given to somebody. Times are UTC."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -40,42 +40,42 @@ class Entry(BaseModel):
 
     @field_validator("name")
     @classmethod
-    def _printable(cls, name: str) -> str:
-        if not name.strip() or name != name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
-            raise ValueError(f"a name has 1 to {LONGEST_NAME} printable characters, and no space before or after")
+    def _check_name(cls, name: str) -> str:
+        if not name.strip() or name != name.strip() or len(name) > MAX_NAME_LENGTH or not name.isprintable():
+            raise ValueError(f"a name has 1 to {MAX_NAME_LENGTH} printable characters, and no space before or after")
         return name
 
     @property
-    def good(self) -> bool:
+    def is_valid(self) -> bool:
         """Neither revoked nor expired."""
         return self.revoked_at is None and (self.expires_at is None or datetime.now(UTC) < self.expires_at)
 
     @property
-    def state(self) -> str:
+    def state_text(self) -> str:
         if self.revoked_at:
             return f"revoked {self.revoked_at:%Y-%m-%d}"
         if self.expires_at is None:
             return "good"
-        return f"{'good until' if self.good else 'expired'} {self.expires_at:%Y-%m-%d}"
+        return f"{'good until' if self.is_valid else 'expired'} {self.expires_at:%Y-%m-%d}"
 
 
-class _Content(BaseModel):
+class _TokenFileContent(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
-    people: list[Entry]
+    people: list[TokenEntry]
 
 
-def digest(token: str) -> str:
+def hash_secret(token: str) -> str:
     return sha256(token.encode()).hexdigest()
 
 
-def read(data: Path) -> list[Entry]:
+def read_tokens(data: Path) -> list[TokenEntry]:
     """Everybody who has or had a token; empty where there is no file.
 
     Raises:
         ConfigurationError: others may read or write the file, or it cannot be read.
     """
-    path = data / FILE
+    path = data / TOKEN_FILE
     try:
         with path.open("rb") as file:
             mode, content = stat.S_IMODE(os.fstat(file.fileno()).st_mode), file.read()
@@ -86,7 +86,7 @@ def read(data: Path) -> list[Entry]:
     if mode & 0o077:
         raise ConfigurationError(f"{path}: others may read or change it. Run `chmod 600 {path}`.")
     try:
-        return _Content.model_validate_json(content).people
+        return _TokenFileContent.model_validate_json(content).people
     except ValidationError as error:
         where = ".".join(str(part) for part in error.errors()[0]["loc"]) or "the whole file"
         raise ConfigurationError(
@@ -95,33 +95,33 @@ def read(data: Path) -> list[Entry]:
         ) from None
 
 
-def add(data: Path, name: str, role: Role, expires_days: float | None = None) -> str:
+def add_token(data: Path, name: str, role: Role, expires_days: float | None = None) -> str:
     """A new token for somebody; returned once, it is in no file.
 
     Raises:
         ConfigurationError: the name is none, has a token already, or the file is at fault.
     """
     now = datetime.now(UTC)
-    token = PREFIX + secrets.token_urlsafe(TOKEN_BYTES)
+    token = TOKEN_PREFIX + secrets.token_urlsafe(TOKEN_BYTES)
     expires = now + timedelta(days=expires_days) if expires_days else None
     try:
-        entry = Entry(name=name, role=role, sha256=digest(token), created_at=now, expires_at=expires)
+        entry = TokenEntry(name=name, role=role, sha256=hash_secret(token), created_at=now, expires_at=expires)
     except ValidationError as error:
         raise ConfigurationError(f"{name!r}: {error.errors()[0]['msg'].removeprefix('Value error, ')}.") from None
-    with _changing(data) as people:
-        if any(other.good and other.name.casefold() == name.casefold() for other in people):
+    with _edit_tokens(data) as people:
+        if any(other.is_valid and other.name.casefold() == name.casefold() for other in people):
             raise ConfigurationError(f"{name} has a token. Take it back first: `graspwatch token revoke {name!r}`.")
         people.append(entry)
     return token
 
 
-def revoke(data: Path, name: str) -> None:
+def revoke_token(data: Path, name: str) -> None:
     """Take somebody's token back; a running service notices within a second.
 
     Raises:
         ConfigurationError: he has none, or the file is at fault.
     """
-    with _changing(data) as people:
+    with _edit_tokens(data) as people:
         held = [at for at, entry in enumerate(people) if entry.name == name and entry.revoked_at is None]
         if not held:
             has = ", ".join(sorted({entry.name for entry in people if entry.revoked_at is None})) or "nobody"
@@ -131,80 +131,82 @@ def revoke(data: Path, name: str) -> None:
 
 
 @contextlib.contextmanager
-def _changing(data: Path) -> Iterator[list[Entry]]:
+def _edit_tokens(data: Path) -> Iterator[list[TokenEntry]]:
     """The people, written back at the end unless something was raised; two programs take turns."""
     folder = os.open(data, os.O_RDONLY)
     try:
         fcntl.flock(folder, fcntl.LOCK_EX)
-        people = read(data)
+        people = read_tokens(data)
         yield people
-        _write(data, people)
+        _write_tokens(data, people)
     except OSError as error:
         raise ConfigurationError(
-            f"{data / FILE}: cannot be written ({error.strerror}). Make room or mend it."
+            f"{data / TOKEN_FILE}: cannot be written ({error.strerror}). Make room or mend it."
         ) from None
     finally:
         os.close(folder)  # gives the lock back
 
 
-def _write(data: Path, people: list[Entry]) -> None:
+def _write_tokens(data: Path, people: list[TokenEntry]) -> None:
     """Whole or not at all, and never readable for others."""
-    handle, name = tempfile.mkstemp(prefix=f".{FILE}-", dir=data)  # mode 0600
+    handle, name = tempfile.mkstemp(prefix=f".{TOKEN_FILE}-", dir=data)  # mode 0600
     try:
         with open(handle, "w", encoding="utf-8") as file:
-            file.write(_Content(people=people).model_dump_json(indent=2) + "\n")
+            file.write(_TokenFileContent(people=people).model_dump_json(indent=2) + "\n")
             file.flush()
             os.fsync(file.fileno())
-        os.replace(name, data / FILE)
+        os.replace(name, data / TOKEN_FILE)
     except OSError:
         Path(name).unlink(missing_ok=True)
         raise
 
 
-class People:
+class TokenStore:
     """The file as it stands, for a service. A file that is gone or broken leaves nobody in, never everybody."""
 
     def __init__(self, data: Path) -> None:
         """Raises ConfigurationError: the file is at fault."""
         self._data = data
-        self.entries = read(data)
+        self.entries = read_tokens(data)
         self.fault: str | None = None
         """Why the file cannot be read any more."""
-        self.guarded = (data / FILE).exists()
+        self.requires_token = (data / TOKEN_FILE).exists()
         """Whether tokens are asked for; once they are, they are until the service ends."""
-        self._seen = self._mark()
+        self._known_file_stamp = self._read_file_stamp()
 
-    def refresh(self) -> bool:
+    def reload_if_changed(self) -> bool:
         """Take notice of a change of the file; whether there was one. One that cannot be read is tried again."""
-        mark = self._mark()
-        if mark == self._seen and not self.fault:
+        mark = self._read_file_stamp()
+        if mark == self._known_file_stamp and not self.fault:
             return False
         before = self.entries, self.fault
-        self._seen = mark
-        self.guarded |= mark is not None
+        self._known_file_stamp = mark
+        self.requires_token |= mark is not None
         try:
-            self.entries, self.fault = read(self._data), None
+            self.entries, self.fault = read_tokens(self._data), None
             if mark is None:
-                self.fault = f"{self._data / FILE} is gone: nobody is let in. Put it back, or start the service again."
+                self.fault = (
+                    f"{self._data / TOKEN_FILE} is gone: nobody is let in. Put it back, or start the service again."
+                )
         except ConfigurationError as error:
             self.entries, self.fault = [], f"Nobody is let in. {error}"
         return before != (self.entries, self.fault)
 
-    def find(self, token: str) -> Entry | None:
+    def find_by_token(self, token: str) -> TokenEntry | None:
         """Whose token it is, if it is good. Every entry is compared, so that the time tells nothing."""
-        asked, found = digest(token), None
+        asked, found = hash_secret(token), None
         for entry in self.entries:
-            if hmac.compare_digest(entry.sha256, asked) and entry.good:
+            if hmac.compare_digest(entry.sha256, asked) and entry.is_valid:
                 found = entry
         return found
 
-    def of(self, token_hash: str) -> Entry | None:
+    def find_by_hash(self, token_hash: str) -> TokenEntry | None:
         """Whose it is, if it is good still."""
-        return next((entry for entry in self.entries if entry.sha256 == token_hash and entry.good), None)
+        return next((entry for entry in self.entries if entry.sha256 == token_hash and entry.is_valid), None)
 
-    def _mark(self) -> tuple[int, int, int, int] | None:
+    def _read_file_stamp(self) -> tuple[int, int, int, int] | None:
         try:
-            found = (self._data / FILE).stat()
+            found = (self._data / TOKEN_FILE).stat()
         except OSError:
             return None
         return found.st_ino, found.st_mtime_ns, found.st_ctime_ns, found.st_size

@@ -4,34 +4,34 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from acquisition.recordings.container import Container, Told
-from acquisition.recordings.layout import RAW
-from app.record.topics import ALARM, GRASP, JOURNAL, RUN, read
+from acquisition.recordings.container import JsonMessage, McapFile
+from acquisition.recordings.layout import RAW_TOPIC
+from app.record.topics import ALARM_TOPIC, GRASP_TOPIC, JOURNAL_TOPIC, RUN_TOPIC, decode_message
 from app.wire import Alarm, FileCondition, FileRecord, GraspEnded, JournalEntry, Run
 from config.errors import RecordingError
 
-Message = Run | GraspEnded | Alarm | JournalEntry
+RecordedMessage = Run | GraspEnded | Alarm | JournalEntry
 
 
-def recorded_messages(path: Path) -> Iterator[tuple[str | None, Message]]:
+def read_recorded_messages(path: Path) -> Iterator[tuple[str | None, RecordedMessage]]:
     """What was told while it was recorded, in order, each with the run it belongs to.
 
     Raises:
         RecordingError: the file is damaged from here on.
     """
-    container = Container(path)
-    run_id = container.about.get("run_id")
-    for told in container.read(RUN, GRASP, ALARM, JOURNAL):
-        assert isinstance(told, Told)
+    container = McapFile(path)
+    run_id = container.metadata.get("run_id")
+    for told in container.iter_content(RUN_TOPIC, GRASP_TOPIC, ALARM_TOPIC, JOURNAL_TOPIC):
+        assert isinstance(told, JsonMessage)
         try:
-            message = read(told.topic, told.content)
+            message = decode_message(told.topic, told.content)
         except ValueError as error:
             raise RecordingError(f"{path}: holds a message that cannot be read ({error}).") from None
-        if isinstance(message, Message):
+        if isinstance(message, RecordedMessage):
             yield run_id, message
 
 
-def recorded_file(path: Path) -> FileRecord:
+def read_file_record(path: Path) -> FileRecord:
     """The file as a whole; one that cannot be read is a record too."""
     stat = path.stat()
     known = FileRecord(
@@ -47,12 +47,12 @@ def recorded_file(path: Path) -> FileRecord:
         problem=None,
     )
     try:
-        container = Container(path)
+        container = McapFile(path)
     except RecordingError as error:
         return known.model_copy(update={"problem": str(error).replace(str(path), path.name)})
-    about, ended = container.about, container.ended
+    about, ended = container.metadata, container.end_metadata
     condition = FileCondition.COMPLETE if container.complete else FileCondition.CUT_OFF
-    samples, lost = container.message_counts.get(RAW), ended.get("lost_samples")
+    samples, lost = container.message_counts.get(RAW_TOPIC), ended.get("lost_samples")
     try:
         duration_s = None if samples is None else samples / float(about.get("sample_rate_hz", "nan"))
         lost_samples = None if lost is None else int(lost)

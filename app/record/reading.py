@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.recordings import layout
-from acquisition.recordings.container import Container, Rows, Told, joined
-from app.record.run_file import Rig
-from app.record.topics import GRASP, RUN, read
+from acquisition.recordings.container import JsonMessage, McapFile, RowBlock, concatenate_rows
+from app.record.run_file import RecordingContext
+from app.record.topics import GRASP_TOPIC, RUN_TOPIC, decode_message
 from app.wire import Grasp, GraspEnded, Run
 from config.errors import RecordingError
 from estimator.blocks import blank_estimates, estimate_dtype
-from estimator.recorded import estimate_columns, estimates_of
+from estimator.recorded import estimate_columns, from_estimate_columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +20,8 @@ class RecordedRun:
     """A run's file in memory. `samples` has dtype SAMPLE, `estimates` a row for each of them, `log_ns` their times."""
 
     path: Path
-    about: dict[str, str]
-    rig: Rig
+    metadata: dict[str, str]
+    recording_context: RecordingContext
     samples: np.ndarray
     estimates: np.ndarray
     log_ns: np.ndarray
@@ -31,7 +31,7 @@ class RecordedRun:
     @property
     def time_s(self) -> np.ndarray:
         """Since the first sample."""
-        return (self.samples["tick"] - self.samples["tick"][0]) / self.rig.tool.board.sample_rate_hz
+        return (self.samples["tick"] - self.samples["tick"][0]) / self.recording_context.tool.board.sample_rate_hz
 
 
 def read_run(path: Path) -> RecordedRun:
@@ -39,39 +39,39 @@ def read_run(path: Path) -> RecordedRun:
     Raises:
         RecordingError: it is no recording of a run, or is damaged.
     """
-    container = Container(path)
-    rig = Rig.of_file(container)
-    rows: dict[str, list[Rows]] = {layout.RAW: [], layout.CONDITIONED: [], layout.ESTIMATES: []}
+    container = McapFile(path)
+    rig = RecordingContext.from_file(container)
+    rows: dict[str, list[RowBlock]] = {layout.RAW_TOPIC: [], layout.CONDITIONED_TOPIC: [], layout.ESTIMATES_TOPIC: []}
     run: Run | None = None
     grasps: list[Grasp] = []
     try:
-        for each in container.read(*rows, GRASP, RUN):
+        for each in container.iter_content(*rows, GRASP_TOPIC, RUN_TOPIC):
             match each:
-                case Rows():
+                case RowBlock():
                     rows[each.topic].append(each)
-                case Told():
-                    message = read(each.topic, each.content)
-                    if isinstance(message, GraspEnded) and message.run_id == container.about["run_id"]:
+                case JsonMessage():
+                    message = decode_message(each.topic, each.content)
+                    if isinstance(message, GraspEnded) and message.run_id == container.metadata["run_id"]:
                         grasps.append(message.grasp)
-                    elif isinstance(message, Run) and message.id == container.about["run_id"]:
+                    elif isinstance(message, Run) and message.id == container.metadata["run_id"]:
                         run = message
         if not all(rows.values()):
             raise RecordingError(f"{path}: holds no samples; it was cut off before the first second.")
-        raw, conditioned, estimated = (joined(pieces) for pieces in rows.values())
+        raw, conditioned, estimated = (concatenate_rows(pieces) for pieces in rows.values())
         whole = min(len(raw), len(conditioned))  # what was cut off may have lost one before the other
-        samples = layout.samples_of(
+        samples = layout.from_columns(
             {name: values[:whole] for name, values in raw.columns.items()},
             {name: values[:whole] for name, values in conditioned.columns.items()},
         )
-        estimates = _beside(
-            samples, estimates_of(estimated.columns, list(rig.library.tissues)), len(rig.library.tissues)
+        estimates = _align_estimates(
+            samples, from_estimate_columns(estimated.columns, list(rig.library.tissues)), len(rig.library.tissues)
         )
     except (KeyError, ValueError) as error:
         raise RecordingError(f"{path}: does not hold what a run's file holds ({error}).") from None
-    return RecordedRun(path, container.about, rig, samples, estimates, raw.log_ns[:whole], run, tuple(grasps))
+    return RecordedRun(path, container.metadata, rig, samples, estimates, raw.log_ns[:whole], run, tuple(grasps))
 
 
-def _beside(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:
+def _align_estimates(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:
     """A row for each sample: blank where its estimates were lost."""
     if len(samples) == len(estimates) and (samples["tick"] == estimates["tick"]).all():
         return estimates
@@ -81,9 +81,9 @@ def _beside(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndar
     return rows
 
 
-def columns_of_run(run: RecordedRun) -> dict[str, np.ndarray]:
+def build_run_columns(run: RecordedRun) -> dict[str, np.ndarray]:
     """Every column of it by name, each of shape (n,): time, signals, estimates; SI units, in the names."""
     columns: dict[str, np.ndarray] = {"time_s": run.time_s, "utc_ns": run.log_ns}
     columns |= {name: run.samples[name] for name in run.samples.dtype.names}
-    estimated = estimate_columns(run.estimates, list(run.rig.library.tissues))
+    estimated = estimate_columns(run.estimates, list(run.recording_context.library.tissues))
     return columns | {name.replace(".", "_"): values for name, values in estimated.items() if name != "tick"}

@@ -11,27 +11,33 @@ from pydantic import BaseModel
 
 from app.wire import Alarm, GraspEnded, Identification, JournalEntry, Run
 
-RUN, GRASP, ALARM, IDENTIFICATION, JOURNAL = "/run", "/grasp", "/alarm", "/identification", "/journal"
-TOPICS: dict[str, type[BaseModel]] = {
-    RUN: Run,
-    GRASP: GraspEnded,
-    ALARM: Alarm,
-    IDENTIFICATION: Identification,
-    JOURNAL: JournalEntry,
+RUN_TOPIC, GRASP_TOPIC, ALARM_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC = (
+    "/run",
+    "/grasp",
+    "/alarm",
+    "/identification",
+    "/journal",
+)
+TOPIC_MODELS: dict[str, type[BaseModel]] = {
+    RUN_TOPIC: Run,
+    GRASP_TOPIC: GraspEnded,
+    ALARM_TOPIC: Alarm,
+    IDENTIFICATION_TOPIC: Identification,
+    JOURNAL_TOPIC: JournalEntry,
 }
-_TOPIC_OF = {model: topic for topic, model in TOPICS.items()}
+_MODEL_TOPICS = {model: topic for topic, model in TOPIC_MODELS.items()}
 
 
-def topic_of(message: BaseModel) -> str | None:
+def find_topic(message: BaseModel) -> str | None:
     """Where a message is recorded; None for what is not."""
-    return _TOPIC_OF.get(type(message))
+    return _MODEL_TOPICS.get(type(message))
 
 
-def write(message: BaseModel) -> bytes:
+def encode_message(message: BaseModel) -> bytes:
     return message.model_dump_json(exclude_none=True).encode()
 
 
-def read(topic: str, content: bytes) -> BaseModel:
+def decode_message(topic: str, content: bytes) -> BaseModel:
     """A message as it was before it was written.
 
     Raises:
@@ -43,19 +49,19 @@ def read(topic: str, content: bytes) -> BaseModel:
         raise ValueError("objects within objects without end") from None
     if not isinstance(told, dict):
         raise ValueError("it is no object")
-    return TOPICS[topic].model_validate(_with_nulls(TOPICS[topic], told))
+    return TOPIC_MODELS[topic].model_validate(_restore_nulls(TOPIC_MODELS[topic], told))
 
 
-def _with_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str, Any]:
+def _restore_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str, Any]:
     """The message with null for what was left out, also in messages inside."""
     result: dict[str, Any] = {name: None for name, field in model.model_fields.items() if field.is_required()}
     for name, value in content.items():
-        inner = _model_inside(model, name) if isinstance(value, dict) else None
-        result[name] = _with_nulls(inner, value) if inner else value
+        inner = _find_nested_model(model, name) if isinstance(value, dict) else None
+        result[name] = _restore_nulls(inner, value) if inner else value
     return result
 
 
-def _model_inside(model: type[BaseModel], name: str) -> type[BaseModel] | None:
+def _find_nested_model(model: type[BaseModel], name: str) -> type[BaseModel] | None:
     """The model of a field, if that is one or none."""
     annotation = model.model_fields[name].annotation if name in model.model_fields else None
     for each in (annotation, *get_args(annotation)):
@@ -64,23 +70,25 @@ def _model_inside(model: type[BaseModel], name: str) -> type[BaseModel] | None:
     return None
 
 
-def schema_of(model: type[BaseModel]) -> bytes:
+def build_json_schema(model: type[BaseModel]) -> bytes:
     """JSON schema of a model's messages: no references, no nulls."""
     schema = model.model_json_schema(mode="serialization")
-    return json.dumps(_plain(schema, schema.get("$defs", {}))).encode()
+    return json.dumps(_simplify_schema(schema, schema.get("$defs", {}))).encode()
 
 
-def _plain(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+def _simplify_schema(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
     if "$ref" in schema:
-        return _plain(definitions[schema["$ref"].rpartition("/")[2]], definitions)
+        return _simplify_schema(definitions[schema["$ref"].rpartition("/")[2]], definitions)
     if "anyOf" in schema:
         (some,) = [each for each in schema["anyOf"] if each.get("type") != "null"]
-        return _plain(some, definitions) | ({"description": schema["description"]} if "description" in schema else {})
+        return _simplify_schema(some, definitions) | (
+            {"description": schema["description"]} if "description" in schema else {}
+        )
     if "const" in schema or "enum" in schema:
         return {"type": "string"}
     plain: dict[str, Any] = {key: schema[key] for key in ("type", "title", "description") if key in schema}
     if "properties" in schema:
-        plain["properties"] = {name: _plain(each, definitions) for name, each in schema["properties"].items()}
+        plain["properties"] = {name: _simplify_schema(each, definitions) for name, each in schema["properties"].items()}
     if "items" in schema:
-        plain["items"] = _plain(schema["items"], definitions)
+        plain["items"] = _simplify_schema(schema["items"], definitions)
     return plain

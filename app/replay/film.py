@@ -15,10 +15,10 @@ import numpy as np
 from app.wire import Alarm, AlarmKind
 from config.schema import Tool
 
-COLUMNS, TOLD, INDEX, TOOL = "columns.npy", "told", "index.npz", "tool.json"
+COLUMNS_FILE, MESSAGES_FILE, INDEX_FILE, TOOL_FILE = "columns.npy", "told", "index.npz", "tool.json"
 
 
-class Kind(IntEnum):
+class MessageKind(IntEnum):
     """What a message of a film is."""
 
     IDENTIFICATION = 0
@@ -29,7 +29,7 @@ class Kind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Index:
+class ReplayCacheIndex:
     """Where everything is. Arrays of shape (pieces,): stretches without a gap; (messages,); and (grasps,)."""
 
     rate_hz: np.ndarray  # of shape ()
@@ -42,32 +42,32 @@ class Index:
     grasp_starts_s: np.ndarray
 
 
-class Film:
+class ReplayCache:
     """The files stay open: their folder may go."""
 
-    def __init__(self, columns: np.ndarray, told: np.ndarray, index: Index, tool: Tool) -> None:
+    def __init__(self, columns: np.ndarray, messages: np.ndarray, index_writer: ReplayCacheIndex, tool: Tool) -> None:
         """`columns`: float32 of shape (samples, channels); `told`: uint8 of shape (bytes,)."""
-        self._columns, self._told, self._index, self.tool = columns, told, index, tool
-        self._begins = np.concatenate([[0], index.ends[:-1]])
-        self.rate_hz = float(index.rate_hz)
-        self.grasp_starts_s: list[float] = index.grasp_starts_s.tolist()
-        self.end_tick = int(index.first_ticks[-1] + len(columns) - index.first_rows[-1])
+        self._columns, self._messages, self._index, self.tool = columns, messages, index_writer, tool
+        self._message_starts = np.concatenate([[0], index_writer.ends[:-1]])
+        self.rate_hz = float(index_writer.rate_hz)
+        self.grasp_starts_s: list[float] = index_writer.grasp_starts_s.tolist()
+        self.end_tick = int(index_writer.first_ticks[-1] + len(columns) - index_writer.first_rows[-1])
 
     @classmethod
     def open(cls, folder: Path) -> Self:
-        with np.load(folder / INDEX) as index:
+        with np.load(folder / INDEX_FILE) as index:
             return cls(
-                np.load(folder / COLUMNS, mmap_mode="r"),
-                np.memmap(folder / TOLD, np.uint8, "r"),
-                Index(**index),
-                Tool.model_validate_json((folder / TOOL).read_bytes()),
+                np.load(folder / COLUMNS_FILE, mmap_mode="r"),
+                np.memmap(folder / MESSAGES_FILE, np.uint8, "r"),
+                ReplayCacheIndex(**index),
+                Tool.model_validate_json((folder / TOOL_FILE).read_bytes()),
             )
 
     @property
     def duration_s(self) -> float:
         return self.end_tick / self.rate_hz
 
-    def _row(self, tick: int) -> int:
+    def _find_row(self, tick: int) -> int:
         """Of the first sample at this tick or later."""
         index = self._index
         piece = int(np.searchsorted(index.first_ticks, tick, "right")) - 1
@@ -76,11 +76,11 @@ class Film:
 
     def lost_samples(self, tick: int) -> int:
         """How many are missing before this tick."""
-        return tick - self._row(tick)
+        return tick - self._find_row(tick)
 
     def samples(self, begin: int, end: int) -> list[tuple[int, np.ndarray]]:
         """Those of ticks from `begin` on before `end`: consecutive ones as first tick and columns (channels, n)."""
-        index, first, last = self._index, self._row(begin), self._row(end)
+        index, first, last = self._index, self._find_row(begin), self._find_row(end)
         inner = index.first_rows[(index.first_rows > first) & (index.first_rows < last)].tolist()
         pieces = []
         for row, until in zip([first, *inner], [*inner, last], strict=True):
@@ -90,31 +90,31 @@ class Film:
                 pieces.append((tick, self._columns[row:until].T))
         return pieces
 
-    def told(self, begin: int, end: int) -> list[str]:
+    def messages(self, begin: int, end: int) -> list[str]:
         """Messages that became known with the samples of ticks from `begin` on before `end`."""
         first, last = np.searchsorted(self._index.ticks, [begin, end]).tolist()
         return [self._message(i) for i in range(first, last)]
 
     def _message(self, i: int) -> str:
-        return self._told[self._begins[i] : self._index.ends[i]].tobytes().decode()
+        return self._messages[self._message_starts[i] : self._index.ends[i]].tobytes().decode()
 
-    def so_far(self, tick: int) -> list[str]:
+    def initial_messages(self, tick: int) -> list[str]:
         """For somebody who comes at this tick: the alarms that are on, finished grasps, the last identification."""
         kinds = self._index.kinds[: np.searchsorted(self._index.ticks, tick)]
-        grasps = np.flatnonzero(kinds == Kind.GRASP).tolist()
-        identified = np.flatnonzero(kinds == Kind.IDENTIFICATION).tolist()[-1:]
-        return [self._message(i) for i in (*self._alarms_on(kinds), *grasps, *identified)]
+        grasps = np.flatnonzero(kinds == MessageKind.GRASP).tolist()
+        identified = np.flatnonzero(kinds == MessageKind.IDENTIFICATION).tolist()[-1:]
+        return [self._message(i) for i in (*self._find_active_alarms(kinds), *grasps, *identified)]
 
-    def _alarms_on(self, kinds: np.ndarray) -> list[int]:
+    def _find_active_alarms(self, kinds: np.ndarray) -> list[int]:
         on: dict[str, int] = {}
-        for i in np.flatnonzero(kinds >= Kind.ALARM).tolist():
+        for i in np.flatnonzero(kinds >= MessageKind.ALARM).tolist():
             on.pop(str(self._index.alarms[i]), None)
-            if kinds[i] == Kind.ALARM:
+            if kinds[i] == MessageKind.ALARM:
                 on[str(self._index.alarms[i])] = i
         return list(on.values())
 
-    def faults(self, tick: int) -> list[str]:
+    def technical_alarm_texts(self, tick: int) -> list[str]:
         """Texts of the technical alarms that are on at this tick."""
         kinds = self._index.kinds[: np.searchsorted(self._index.ticks, tick)]
-        alarms = [Alarm.model_validate_json(self._message(i)) for i in self._alarms_on(kinds)]
+        alarms = [Alarm.model_validate_json(self._message(i)) for i in self._find_active_alarms(kinds)]
         return [alarm.text for alarm in alarms if alarm.kind is AlarmKind.TECHNICAL]

@@ -6,22 +6,22 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from acquisition.recordings.container import Container
-from acquisition.recordings.layout import RAW
-from acquisition.recordings.playing import Recording, tool_of
-from app.aside import Tell, run_aside
+from acquisition.recordings.container import McapFile
+from acquisition.recordings.layout import RAW_TOPIC
+from acquisition.recordings.playing import RecordingSource, read_recorded_tool
+from app.aside import SendMessage, run_in_background_process
 from app.plan import ServicePlan
 from app.wire import RecordingInfo, Recordings
 from config.errors import GraspwatchError, RecordingError, RefusedError
 from config.schema import Tool
 
-ENDINGS = (".mcap", ".lvm", ".lvm.gz")
-ADVICE = "Ask for the list again."
-READ_AT_ONCE = 50  # files: then those come first that are new meanwhile
+RECORDING_SUFFIXES = (".mcap", ".lvm", ".lvm.gz")
+RETRY_ADVICE = "Ask for the list again."
+MAX_FILES_PER_READ = 50  # files: then those come first that are new meanwhile
 
 
 @dataclass(frozen=True, slots=True)
-class _File:
+class _CatalogFile:
     """A file as it was found; another size or time of change makes it another one."""
 
     path: Path
@@ -30,110 +30,114 @@ class _File:
 
 
 @dataclass(frozen=True, slots=True)
-class _Content:
+class _FileSummary:
     """What reading a file gave: its duration, or why it cannot be read."""
 
     duration_s: float | None = None
     problem: str | None = None
-    facts: dict[str, str] = field(default_factory=dict)  # of the run, where the file knows one
-    whole: bool = True
+    metadata: dict[str, str] = field(default_factory=dict)  # of the run, where the file knows one
+    is_complete: bool = True
 
 
-def open_recording(path: Path, tool: Tool) -> Recording:
+def open_recording(path: Path, tool: Tool) -> RecordingSource:
     """Read a recording, to be played as fast as it goes.
 
     Raises:
         RecordingError: it cannot be read; names the file, without its folder, and the line.
     """
     try:
-        return Recording(path, tool)
+        return RecordingSource(path, tool)
     except RecordingError as error:
         raise RecordingError(str(error).replace(str(path), path.name)) from None
 
 
-def read_all(tell: Tell, files: list[_File], tool: Tool) -> None:
+def read_files(send: SendMessage, files: list[_CatalogFile], tool: Tool) -> None:
     """Read files one after the other; tells each with what was found."""
     for file in files:
         try:
-            tell((file, _read(file.path, tool)))
+            send((file, _read_file(file.path, tool)))
         except RecordingError as error:
-            tell((file, _Content(problem=str(error).replace(str(file.path), file.path.name))))
+            send((file, _FileSummary(problem=str(error).replace(str(file.path), file.path.name))))
 
 
-def _read(path: Path, tool: Tool) -> _Content:
+def _read_file(path: Path, tool: Tool) -> _FileSummary:
     """What a file holds; of a whole MCAP file only its beginning and its end are read."""
     if path.suffix != ".mcap":
-        return _Content(open_recording(path, tool).duration_s)
-    container = Container(path)
+        return _FileSummary(open_recording(path, tool).duration_s)
+    container = McapFile(path)
     if container.complete:
-        samples = container.message_counts.get(RAW, 0)
-        return _Content(samples / tool_of(container).board.sample_rate_hz, facts=container.about)
-    return _Content(open_recording(path, tool).duration_s, facts=container.about, whole=False)
+        samples = container.message_counts.get(RAW_TOPIC, 0)
+        return _FileSummary(samples / read_recorded_tool(container).board.sample_rate_hz, metadata=container.metadata)
+    return _FileSummary(open_recording(path, tool).duration_s, metadata=container.metadata, is_complete=False)
 
 
-class Shelf:
+class RecordingCatalog:
     """The recordings of the data folder, and those named on the command line, wherever they are."""
 
     def __init__(self, plan: ServicePlan) -> None:
         self._plan = plan
-        self._opened = _by_name(plan.opened)
-        self._contents: dict[_File, _Content] = {}
-        self._reading: asyncio.Task[None] | None = None
+        self._opened_recordings = _assign_names(plan.opened_recordings)
+        self._summaries: dict[_CatalogFile, _FileSummary] = {}
+        self._read_task: asyncio.Task[None] | None = None
 
-    async def listing(self) -> Recordings:
+    async def list_recordings(self) -> Recordings:
         """At once what is known: those of the command line first, then the newest; the rest is read meanwhile."""
-        files = await asyncio.to_thread(self._find)
-        self._contents = {file: self._contents[file] for file in files.values() if file in self._contents}
-        unread = [file for file in files.values() if file not in self._contents]
-        if unread and (self._reading is None or self._reading.done()):
-            self._reading = asyncio.create_task(self._read(unread[:READ_AT_ONCE]))
+        files = await asyncio.to_thread(self._scan_files)
+        self._summaries = {file: self._summaries[file] for file in files.values() if file in self._summaries}
+        unread = [file for file in files.values() if file not in self._summaries]
+        if unread and (self._read_task is None or self._read_task.done()):
+            self._read_task = asyncio.create_task(self._read_in_background(unread[:MAX_FILES_PER_READ]))
         return Recordings(
-            folder=str(self._plan.recordings_folder), recordings=[self._info(*item) for item in files.items()]
+            folder=str(self._plan.recordings_folder), recordings=[self._build_info(*item) for item in files.items()]
         )
 
-    async def path(self, name: str) -> Path:
+    async def find_path(self, name: str) -> Path:
         """The file of a recording: only what the list shows can be named.
 
         Raises:
             RefusedError: there is no such recording.
         """
-        file = (await asyncio.to_thread(self._find)).get(name)
+        file = (await asyncio.to_thread(self._scan_files)).get(name)
         if file is None:
             raise RefusedError(f"There is no recording {name!r}. GET /api/recordings lists them.", "name")
         return file.path
 
     def is_opened(self, path: Path) -> bool:
         """Whether it was named on the command line."""
-        return path in self._opened.values()
+        return path in self._opened_recordings.values()
 
     async def aclose(self) -> None:
         """End the reading."""
-        if self._reading:
-            self._reading.cancel()
-            await asyncio.gather(self._reading, return_exceptions=True)
+        if self._read_task:
+            self._read_task.cancel()
+            await asyncio.gather(self._read_task, return_exceptions=True)
 
-    def _find(self) -> dict[str, _File]:
-        opened = {name: file for name, path in self._opened.items() if (file := _file(path))}
+    def _scan_files(self) -> dict[str, _CatalogFile]:
+        opened = {name: file for name, path in self._opened_recordings.items() if (file := _stat_file(path))}
         folder = self._plan.recordings_folder.resolve()
-        named = [path for path in folder.glob("*") if path.name.endswith(ENDINGS) and path.name.isprintable()]
+        named = [
+            path for path in folder.glob("*") if path.name.endswith(RECORDING_SUFFIXES) and path.name.isprintable()
+        ]
         inside = [path for path in named if not path.is_symlink() or path.resolve().parent == folder]
-        files = [file for path in inside if (file := _file(path))]
+        files = [file for path in inside if (file := _stat_file(path))]
         files.sort(key=lambda file: file.modified_ns, reverse=True)
         return opened | {file.path.name: file for file in files if file.path.name not in opened}
 
-    async def _read(self, unread: list[_File]) -> None:
-        def keep(read: tuple[_File, _Content]) -> None:
-            self._contents.update([read])
+    async def _read_in_background(self, unread: list[_CatalogFile]) -> None:
+        def keep(read: tuple[_CatalogFile, _FileSummary]) -> None:
+            self._summaries.update([read])
 
         try:
-            await run_aside("shelf", read_all, unread, self._plan.recorded_with, told=keep, advice=ADVICE)
+            await run_in_background_process(
+                "shelf", read_files, unread, self._plan.recording_tool, on_message=keep, advice=RETRY_ADVICE
+            )
         except GraspwatchError as error:  # it died of the first that it did not tell of; the others come next time
-            broken = [file for file in unread if file not in self._contents]
-            self._contents |= dict.fromkeys(broken[:1], _Content(problem=str(error)))
+            broken = [file for file in unread if file not in self._summaries]
+            self._summaries |= dict.fromkeys(broken[:1], _FileSummary(problem=str(error)))
 
-    def _info(self, name: str, file: _File) -> RecordingInfo:
-        content = self._contents.get(file, _Content())
-        facts = content.facts
+    def _build_info(self, name: str, file: _CatalogFile) -> RecordingInfo:
+        content = self._summaries.get(file, _FileSummary())
+        facts = content.metadata
         modified = datetime.fromtimestamp(file.modified_ns / 1e9, UTC).isoformat(timespec="seconds")
         return RecordingInfo(
             name=name,
@@ -141,7 +145,7 @@ class Shelf:
             modified_at=modified,
             duration_s=content.duration_s,
             problem=content.problem,
-            whole=content.whole,
+            whole=content.is_complete,
             run_id=facts.get("run_id"),
             protocol=facts.get("protocol"),
             tissue=facts.get("tissue") or None,
@@ -149,7 +153,7 @@ class Shelf:
         )
 
 
-def _by_name(paths: tuple[Path, ...]) -> dict[str, Path]:
+def _assign_names(paths: tuple[Path, ...]) -> dict[str, Path]:
     """Files by their names, those of equal names numbered."""
     named: dict[str, Path] = {}
     for path in dict.fromkeys(path.resolve() for path in paths):
@@ -159,10 +163,10 @@ def _by_name(paths: tuple[Path, ...]) -> dict[str, Path]:
     return named
 
 
-def _file(path: Path) -> _File | None:
+def _stat_file(path: Path) -> _CatalogFile | None:
     """None for what is no file, or is none any more."""
     try:
         found = path.stat()
     except OSError:
         return None
-    return _File(path, found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None
+    return _CatalogFile(path, found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None

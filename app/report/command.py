@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from app.options import RECORDED_WITH, ProgressBar
+from app.options import DEFAULT_RECORDING_TOOL, ProgressBar
 from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary
@@ -20,10 +20,13 @@ from estimator.decision import UNDECIDED
 if TYPE_CHECKING:
     from app.report.report import Report
 
-ENDINGS = (".mcap", ".lvm", ".lvm.gz")
-SLUG = re.compile(r"[a-z0-9][a-z0-9_]*")
-OWN_PAGE, OWN_DATA = '<meta name="generator" content="Graspwatch report">', '"report": "Report: '  # in the first bytes
-LOOKED_AT = 1000  # bytes
+RECORDING_SUFFIXES = (".mcap", ".lvm", ".lvm.gz")
+TISSUE_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_]*")
+PAGE_MARKER, DATA_MARKER = (
+    '<meta name="generator" content="Graspwatch report">',
+    '"report": "Report: ',
+)  # in the first bytes
+MARKER_SEARCH_BYTES = 1000  # bytes
 
 
 def report(
@@ -43,7 +46,7 @@ def report(
     library: Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Tissue library: a name or a file.")] = None,
     tool: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Tool file with channels and calibration of LabVIEW's recordings.")
-    ] = RECORDED_WITH,
+    ] = DEFAULT_RECORDING_TOOL,
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Settings instead of config/graspwatch.toml.")
     ] = None,
@@ -59,27 +62,30 @@ def report(
     settings = load_settings(config)
     profiles, rig = load_library(library or settings.library), load_tool(tool)
     folder = (data or Path(settings.data_folder)) / "recordings"
-    files = [_found(name, folder) for name in recordings]
+    files = [_find_recording(name, folder) for name in recordings]
     if len(set(files)) < len(files):
         twice = next(path for path in files if files.count(path) > 1)
         raise ConfigurationError(f"{twice} is named twice. Name each recording once.")
-    labels = _labels(label or [], files, profiles)
+    labels = _parse_labels(label or [], files, profiles)
     page_path = out or Path("report.html" if len(files) > 1 else f"report-{files[0].name.partition('.')[0]}.html")
     data_path = page_path.with_suffix(".json")
-    _check_place(page_path, data_path)
+    _check_output_paths(page_path, data_path)
 
-    from app.report.page import page  # takes a second: not before the request is known to be sound
-    from app.report.report import as_recorded, read_report, write_whole
+    from app.report.page import render_report_page  # takes a second: not before the request is known to be sound
+    from app.report.report import read_common_configuration, read_report, write_atomically
 
     if library is None and config is None:
-        profiles, settings = as_recorded(files) or (profiles, settings)
+        profiles, settings = read_common_configuration(files) or (profiles, settings)
 
     with ProgressBar(page_path.name, 1.0) as progress:
         made = read_report(files, rig, profiles, settings, labels, progress)
-        text, document = page(made, progress), json.dumps(made.document(), indent=2, allow_nan=False) + "\n"
+        text, document = (
+            render_report_page(made, progress),
+            json.dumps(made.document(), indent=2, allow_nan=False) + "\n",
+        )
     try:
-        write_whole(page_path, text)
-        write_whole(data_path, document)
+        write_atomically(page_path, text)
+        write_atomically(data_path, document)
     except OSError as error:
         raise ConfigurationError(
             f"{page_path}: cannot be written ({error.strerror}). Name another with --out."
@@ -87,23 +93,23 @@ def report(
     if as_json:
         print(document, end="")
         return
-    _show(made, page_path, data_path)
+    _print_summary(made, page_path, data_path)
 
 
-def _found(name: str, folder: Path) -> Path:
+def _find_recording(name: str, folder: Path) -> Path:
     """A file by its path, or one of the data folder's recordings by its name, with or without its ending.
 
     Raises:
         ConfigurationError: there is none.
     """
-    places = [Path(name), *(folder / f"{name}{ending}" for ending in ("", *ENDINGS))]
+    places = [Path(name), *(folder / f"{name}{ending}" for ending in ("", *RECORDING_SUFFIXES))]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
         raise ConfigurationError(f"{name}: there is no such file, and no such recording in {folder}. Check the name.")
     return path
 
 
-def _labels(labels: list[str], files: list[Path], library: TissueLibrary) -> dict[Path, str]:
+def _parse_labels(labels: list[str], files: list[Path], library: TissueLibrary) -> dict[Path, str]:
     """What was held, by file.
 
     Raises:
@@ -131,13 +137,13 @@ def _check_tissue(tissue: str, library: TissueLibrary) -> None:
     """A tissue that is not in the library can be told, but not one that is misspelt."""
     if tissue in library.tissues:
         return
-    if not SLUG.fullmatch(tissue) or tissue == UNDECIDED:
+    if not TISSUE_NAME_PATTERN.fullmatch(tissue) or tissue == UNDECIDED:
         raise ConfigurationError(f"--label: {tissue!r} is no name of a tissue: small letters, digits and _ only.")
     if close := difflib.get_close_matches(tissue, library.tissues, n=1, cutoff=0.8):
         raise ConfigurationError(f"--label: there is no tissue {tissue!r}. Did you mean {close[0]!r}?")
 
 
-def _check_place(page: Path, data: Path) -> None:
+def _check_output_paths(page: Path, data: Path) -> None:
     """That both files can be written and that nothing but an earlier report is lost.
 
     Raises:
@@ -149,10 +155,10 @@ def _check_place(page: Path, data: Path) -> None:
         raise ConfigurationError(f"--out {page}: there is no folder {page.parent}. Make it, or name another file.")
     if not os.access(page.parent, os.W_OK):
         raise ConfigurationError(f"--out {page}: {page.parent} cannot be written to. Name a file in another folder.")
-    for path, own in ((page, OWN_PAGE), (data, OWN_DATA)):
+    for path, own in ((page, PAGE_MARKER), (data, DATA_MARKER)):
         try:
             with path.open("rb") as file:
-                begin = file.read(LOOKED_AT).decode(errors="replace")
+                begin = file.read(MARKER_SEARCH_BYTES).decode(errors="replace")
         except FileNotFoundError:
             continue
         except OSError as error:
@@ -163,21 +169,21 @@ def _check_place(page: Path, data: Path) -> None:
             raise ConfigurationError(f"{path} is there already and is no report. Name another file with --out.")
 
 
-def _show(made: "Report", page: Path, data: Path) -> None:
+def _print_summary(report_result: "Report", page: Path, data: Path) -> None:
     """The figures in short; the whole of them stands on the page."""
-    from estimator.studies.page import shown
+    from estimator.studies.page import format_value
 
-    found, looks, console = made.statistics, made.looks, Console()
-    table = Table("Held", "Grasps", "Converged", "Mean time, s", "α, N", "β, 1/m", "d, kg/s", title=made.title)
-    for name, row in found.table_6.items():
+    found, looks, console = report_result.statistics, report_result.tissue_styles, Console()
+    table = Table("Held", "Grasps", "Converged", "Mean time, s", "α, N", "β, 1/m", "d, kg/s", title=report_result.title)
+    for name, row in found.convergence.items():
         time = row.convergence_s
-        means = [one.geometric_mean for one in found.table_7[name].values()]
-        table.add_row(looks[name].title, str(row.grasps), str(time.count), *map(shown, (time.mean, *means)))
+        means = [one.geometric_mean for one in found.parameters[name].values()]
+        table.add_row(looks[name].title, str(row.grasps), str(time.count), *map(format_value, (time.mean, *means)))
     if found.groups:
         console.print(table)
-    for pair, telling in found.tell_apart().items():
+    for pair, telling in found.find_distinguishing_parameters().items():
         words = f"told apart by {', '.join(telling)}" if telling else "not told apart by any parameter"
         console.print(f"{' and '.join(looks[name].title for name in pair)}: {words}.", highlight=False)
-    left_out = f", {len(found.left_out)} of them left out of the statistics" if found.left_out else ""
-    console.print(f"{len(made.grasps)} grasps{left_out}.", highlight=False)
+    left_out = f", {len(found.excluded)} of them left out of the statistics" if found.excluded else ""
+    console.print(f"{len(report_result.grasps)} grasps{left_out}.", highlight=False)
     console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True, highlight=False)

@@ -4,84 +4,93 @@ from typing import Any
 
 import numpy as np
 
-from app.report.plots import Channel, alarm_marks, bare, box_plots, channels, course, course_template, verdict_bars
-from app.report.report import READING, Progress, Report
-from app.report.stress import add_grasp, curve_of, references
-from estimator.studies.page import plain
+from app.report.plots import (
+    PlotLine,
+    build_alarm_markers,
+    build_box_plots,
+    build_plot_lines,
+    build_time_plot,
+    build_time_plot_template,
+    build_verdict_bars,
+    figure_to_json,
+)
+from app.report.report import READING_SHARE, Progress, Report
+from app.report.stress import build_curve, draw_grasp_curve, draw_library_curves
+from estimator.studies.page import to_json_value
 
-COURSES_SHOWN = 24  # recordings; the grasps of more are shown one by one only
-GRASPS_DRAWN = 1000  # more are in the table only
-COURSE_BYTES, GRASP_BYTES = 2_500_000, 4_000_000  # of all courses together, and of all grasps' own
-COURSE_POINTS, GRASP_POINTS, LEAST_POINTS = 3000, 2000, 80
-BYTES_A_POINT = 8 / 3  # 16 bits in base64
-CURVES_TOGETHER = 60  # in the plot of all grasps
+MAX_TIME_PLOTS = 24  # recordings; the grasps of more are shown one by one only
+MAX_GRASP_PLOTS = 1000  # more are in the table only
+MAX_TIME_PLOT_BYTES, MAX_GRASP_PLOT_BYTES = 2_500_000, 4_000_000  # of all courses together, and of all grasps' own
+MAX_TIME_PLOT_POINTS, MAX_GRASP_PLOT_POINTS, MIN_POINTS = 3000, 2000, 80
+BYTES_PER_POINT = 8 / 3  # 16 bits in base64
+MAX_CURVES = 60  # in the plot of all grasps
 
 
-def drawn_by_script(report: Report, progress: Progress) -> dict[str, Any]:
+def build_plot_data(report: Report, progress: Progress) -> dict[str, Any]:
     """Ready for JSON; `viewer.js` knows the names."""
-    library, looks = report.library, report.looks
-    lines = channels(library, looks)
-    figures = {"references": bare(references(library, looks))}
+    library, looks = report.library, report.tissue_styles
+    lines = build_plot_lines(library, looks)
+    figures = {"references": figure_to_json(draw_library_curves(library, looks))}
     if report.grasps:
-        figures["stress"] = _all_curves(report)
+        figures["stress"] = _build_curve_overview(report)
     if report.statistics.groups:
-        figures["boxes"] = box_plots(report.statistics, library, looks)
+        figures["boxes"] = build_box_plots(report.statistics, library, looks)
     return {
-        "course": course_template(library, looks, lines),
+        "course": build_time_plot_template(library, looks, lines),
         "logarithmic": [line.logarithmic for line in lines],
-        "courses": _courses(report, lines) if len(report.stories) <= COURSES_SHOWN else [],
-        "grasps": _grasps(report, lines, progress),
+        "courses": _build_time_plots(report, lines) if len(report.recordings) <= MAX_TIME_PLOTS else [],
+        "grasps": _build_grasp_plots(report, lines, progress),
         "figures": figures,
     }
 
 
-def _grasps(report: Report, lines: list[Channel], progress: Progress) -> list[dict[str, Any]]:
-    drawn, looks = report.grasps[:GRASPS_DRAWN], report.looks
-    most = _points(GRASP_BYTES, len(drawn), len(lines), GRASP_POINTS)
+def _build_grasp_plots(report: Report, plot_lines: list[PlotLine], progress: Progress) -> list[dict[str, Any]]:
+    drawn, looks = report.grasps[:MAX_GRASP_PLOTS], report.tissue_styles
+    most = _limit_points(MAX_GRASP_PLOT_BYTES, len(drawn), len(plot_lines), MAX_GRASP_PLOT_POINTS)
     grasps = []
     for number, (story, grasp, _) in enumerate(drawn, 1):
-        marks = verdict_bars([grasp], looks) + alarm_marks(story.alarms_of(grasp), story.rate_hz)
-        curve = curve_of(story, grasp)
+        marks = build_verdict_bars([grasp], looks) + build_alarm_markers(story.grasp_alarms(grasp), story.rate_hz)
+        curve = build_curve(story, grasp)
         grasps.append(
             {
                 "title": f"Grasp {grasp.index} of {story.title}: {looks[grasp.label].title}",
-                "course": course(story, story.during(grasp), lines, most, marks),
-                "strain": _list(curve and curve.strain),
-                "measured_kpa": _list(curve and curve.measured_kpa),
-                "estimated_kpa": _list(curve and curve.estimated_kpa),
+                "course": build_time_plot(story, story.grasp_traces(grasp), plot_lines, most, marks),
+                "strain": _to_rounded_list(curve and curve.strain),
+                "measured_kpa": _to_rounded_list(curve and curve.measured_kpa),
+                "estimated_kpa": _to_rounded_list(curve and curve.estimated_kpa),
             }
         )
-        progress(READING + (1 - READING) * 0.8 * number / len(drawn))
+        progress(READING_SHARE + (1 - READING_SHARE) * 0.8 * number / len(drawn))
     return grasps
 
 
-def _courses(report: Report, lines: list[Channel]) -> list[dict[str, Any]]:
-    most = _points(COURSE_BYTES, len(report.stories), len(lines), COURSE_POINTS)
+def _build_time_plots(report: Report, plot_lines: list[PlotLine]) -> list[dict[str, Any]]:
+    most = _limit_points(MAX_TIME_PLOT_BYTES, len(report.recordings), len(plot_lines), MAX_TIME_PLOT_POINTS)
     courses = []
-    for story in report.stories:
-        alarms = [alarm for grasp in story.grasps for alarm in story.alarms_of(grasp)]
-        marks = verdict_bars(story.grasps, report.looks) + alarm_marks(alarms, story.rate_hz)
-        courses.append(course(story, story.traces, lines, most, marks))
+    for story in report.recordings:
+        alarms = [alarm for grasp in story.grasps for alarm in story.grasp_alarms(grasp)]
+        marks = build_verdict_bars(story.grasps, report.tissue_styles) + build_alarm_markers(alarms, story.rate_hz)
+        courses.append(build_time_plot(story, story.traces, plot_lines, most, marks))
     return courses
 
 
-def _points(room_bytes: int, of: int, lines: int, most: int) -> int:
-    return int(min(max(room_bytes / max(of, 1) / lines / BYTES_A_POINT, LEAST_POINTS), most))
+def _limit_points(budget_bytes: int, plots: int, lines: int, max_points: int) -> int:
+    return int(min(max(budget_bytes / max(plots, 1) / lines / BYTES_PER_POINT, MIN_POINTS), max_points))
 
 
-def _all_curves(report: Report) -> dict[str, Any]:
-    figure = references(report.library, report.looks)
-    for story, grasp, observation in report.grasps[:: one_in(len(report.grasps))]:
-        if curve := curve_of(story, grasp):
-            look = report.looks.get(observation.group, report.looks[grasp.label])
-            add_grasp(figure, curve, f"{story.title}, {grasp.index}", look)
-    return bare(figure)
+def _build_curve_overview(report: Report) -> dict[str, Any]:
+    figure = draw_library_curves(report.library, report.tissue_styles)
+    for story, grasp, observation in report.grasps[:: curve_stride(len(report.grasps))]:
+        if curve := build_curve(story, grasp):
+            look = report.tissue_styles.get(observation.group, report.tissue_styles[grasp.label])
+            draw_grasp_curve(figure, curve, f"{story.title}, {grasp.index}", look)
+    return figure_to_json(figure)
 
 
-def one_in(grasps: int) -> int:
+def curve_stride(grasps: int) -> int:
     """Which share of so many grasps is drawn together: one in this number."""
-    return max(1, -(-grasps // CURVES_TOGETHER))
+    return max(1, -(-grasps // MAX_CURVES))
 
 
-def _list(values: np.ndarray | None) -> list[float] | None:
-    return None if values is None else plain([round(float(value), 4) for value in values])
+def _to_rounded_list(values: np.ndarray | None) -> list[float] | None:
+    return None if values is None else to_json_value([round(float(value), 4) for value in values])

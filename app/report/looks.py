@@ -7,7 +7,7 @@ from estimator.alarms import Priority
 from estimator.decision import UNDECIDED, UNKNOWN
 
 # Okabe and Ito's palette in the dashboard's order, and the colour of text on each
-SLOTS = (
+TISSUE_COLORS = (
     ("#56b4e9", "#000000"),
     ("#e69f00", "#000000"),
     ("#009e73", "#000000"),
@@ -16,36 +16,38 @@ SLOTS = (
     ("#f0e442", "#000000"),
     ("#d55e00", "#000000"),
 )
-GREY, PALE = ("#808b94", "#000000"), ("#c3ccd4", "#000000")
-ALARMS = {Priority.LOW: "#00d5f0", Priority.MEDIUM: "#ffd400", Priority.HIGH: "#d40020"}
+UNKNOWN_COLORS, UNDECIDED_COLORS = ("#808b94", "#000000"), ("#c3ccd4", "#000000")
+ALARM_COLORS = {Priority.LOW: "#00d5f0", Priority.MEDIUM: "#ffd400", Priority.HIGH: "#d40020"}
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class TissueStyle:
     """`on`: the colour of text on `colour`."""
 
     name: str
     title: str
-    mark: str
-    colour: str
-    on: str
+    abbreviation: str
+    color: str
+    text_color: str
 
 
-def looks_of(library: TissueLibrary, groups: tuple[str, ...] = ()) -> dict[str, Look]:
+def build_tissue_styles(library: TissueLibrary, groups: tuple[str, ...] = ()) -> dict[str, TissueStyle]:
     """Looks of the library's tissues, of *unknown* and *undecided*, and of other groups that a report names."""
     titles = {name: profile.title for name, profile in library.tissues.items()}
     others = [name for name in groups if name not in (*titles, UNKNOWN, UNDECIDED)]
     titles |= {name: name.replace("_", " ").capitalize() for name in others}
     looks = {
-        name: Look(name, title, _mark(title, [*titles.values()]), *SLOTS[place % len(SLOTS)])
+        name: TissueStyle(
+            name, title, _abbreviate(title, [*titles.values()]), *TISSUE_COLORS[place % len(TISSUE_COLORS)]
+        )
         for place, (name, title) in enumerate(titles.items())
     }
-    looks[UNKNOWN] = Look(UNKNOWN, "Unknown", "?", *GREY)
-    looks[UNDECIDED] = Look(UNDECIDED, "Undecided", "–", *PALE)
+    looks[UNKNOWN] = TissueStyle(UNKNOWN, "Unknown", "?", *UNKNOWN_COLORS)
+    looks[UNDECIDED] = TissueStyle(UNDECIDED, "Undecided", "–", *UNDECIDED_COLORS)
     return looks
 
 
-def _mark(title: str, titles: list[str]) -> str:
+def _abbreviate(title: str, titles: list[str]) -> str:
     """Initials, or as many letters of the title as no other one shares."""
     others = [other for other in titles if other != title]
     if _initials(title) not in map(_initials, others):

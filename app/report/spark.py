@@ -2,20 +2,20 @@
 
 import numpy as np
 
-from app.report.traces import Grid
+from app.report.traces import TimeGrid
 
-WIDTH, HEIGHT, POINTS = 130, 34, 70
+WIDTH_PX, HEIGHT_PX, MAX_POINTS = 130, 34, 70
 
 
-def spark(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray, most_n: float) -> str:
+def render_sparkline(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray, max_force_n: float) -> str:
     """SVG of a force, N, (n,) at `ticks`; dashed: the limit that was enforced at the end. `most_n` is the height."""
-    grid = Grid.over(ticks, POINTS)
-    points = grid.thin(ticks, force_n)
-    if not np.isfinite(points).any() or most_n <= 0:
+    grid = TimeGrid.from_ticks(ticks, MAX_POINTS)
+    points = grid.downsample(ticks, force_n)
+    if not np.isfinite(points).any() or max_force_n <= 0:
         return ""
-    scale = (HEIGHT - 2) / most_n
-    x = (np.arange(len(points)) * (WIDTH / max(len(points) - 1, 1))).tolist()
-    y = (HEIGHT - 1 - np.clip(points, 0, most_n) * scale).tolist()
+    scale = (HEIGHT_PX - 2) / max_force_n
+    x = (np.arange(len(points)) * (WIDTH_PX / max(len(points) - 1, 1))).tolist()
+    y = (HEIGHT_PX - 1 - np.clip(points, 0, max_force_n) * scale).tolist()
     path, pen = [], "M"
     for at, height in zip(x, y, strict=True):
         if height != height:  # a gap
@@ -25,9 +25,8 @@ def spark(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray, most_n: f
         pen = "L"
     limit = ""
     told_n = limit_n[np.isfinite(limit_n)]
-    if len(told_n) and told_n[-1] <= most_n:
-        at = HEIGHT - 1 - told_n[-1] * scale
-        limit = f'<path class="limit" d="M0 {at:.1f}H{WIDTH}"/>'
-    return (
-        f'<svg class="spark" viewBox="0 0 {WIDTH} {HEIGHT}" aria-hidden="true">{limit}<path d="{"".join(path)}"/></svg>'
-    )
+    if len(told_n) and told_n[-1] <= max_force_n:
+        at = HEIGHT_PX - 1 - told_n[-1] * scale
+        limit = f'<path class="limit" d="M0 {at:.1f}H{WIDTH_PX}"/>'
+    curve = f'<path d="{"".join(path)}"/>'
+    return f'<svg class="spark" viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" aria-hidden="true">{limit}{curve}</svg>'

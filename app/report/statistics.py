@@ -11,13 +11,13 @@ from scipy.stats import tukey_hsd
 from estimator.blocks import GraspRecord
 from estimator.decision import UNDECIDED, UNKNOWN
 
-SIGNIFICANT = 0.05  # the paper's p
-DIVERGED = 100.0  # times the grasp's largest force
-LEAST = 2  # grasps of a group: fewer have no spread
+SIGNIFICANCE_LEVEL = 0.05  # the paper's p
+DIVERGENCE_FACTOR = 100.0  # times the grasp's largest force
+MIN_GROUP_GRASPS = 2  # grasps of a group: fewer have no spread
 PARAMETERS = {"alpha": "alpha_n", "beta": "beta_per_m", "d": "damping_kg_per_s"}  # the paper's names, the record's
 
 
-class Told(StrEnum):
+class TruthSource(StrEnum):
     """Who says what was held."""
 
     LABEL = "the label given with the file"
@@ -35,7 +35,7 @@ class Observation:
     source: str
     record: GraspRecord
     truth: str | None
-    told: Told
+    truth_source: TruthSource
     force_errors_n: dict[str, tuple[float, float] | None]
 
     @property
@@ -43,31 +43,31 @@ class Observation:
         return self.truth or self.record.label
 
     @property
-    def filter(self) -> str:
+    def filter_tissue(self) -> str:
         """Whose filter the paper's criteria are taken from: the group's own, or else the likeliest tissue's."""
         likely = {name: self.record.probabilities.get(name, 0.0) for name in self.record.convergence_s}
         return self.group if self.group in likely else max(likely, key=likely.__getitem__)
 
     @property
     def convergence_s(self) -> float | None:
-        return self.record.convergence_s[self.filter]
+        return self.record.convergence_s[self.filter_tissue]
 
     @property
     def diverged(self) -> bool:
         """Whether its filter's force ran so far away that no number of it means anything."""
-        errors = [self.record.force_error_n[self.filter], *(self.force_errors_n.get(self.filter) or ())]
-        most_n = DIVERGED * (self.record.peak_force_n or 0.0)
+        errors = [self.record.force_error_n[self.filter_tissue], *(self.force_errors_n.get(self.filter_tissue) or ())]
+        most_n = DIVERGENCE_FACTOR * (self.record.peak_force_n or 0.0)
         return any(abs(error) > most_n for error in errors if error is not None)
 
     @property
     def force_error_n(self) -> float | None:
         """Mean over the grasp; None where the filter diverged."""
-        return None if self.diverged else self.record.force_error_n[self.filter]
+        return None if self.diverged else self.record.force_error_n[self.filter_tissue]
 
     @property
     def sample_errors_n(self) -> tuple[float, float] | None:
         """Lowest and highest of a sample; None where the filter diverged."""
-        return None if self.diverged else self.force_errors_n.get(self.filter)
+        return None if self.diverged else self.force_errors_n.get(self.filter_tissue)
 
     @property
     def parameters(self) -> tuple[float, float, float] | None:
@@ -75,7 +75,7 @@ class Observation:
         values = tuple(getattr(self.record, name) for name in PARAMETERS.values())
         return None if None in values or min(values) <= 0 else values
 
-    def why_left_out(self) -> str | None:
+    def exclusion_reason(self) -> str | None:
         """Why it is no part of the statistics, or None."""
         if not self.record.valid:
             return f"invalid: {self.record.why_invalid or 'not said why'}"
@@ -87,7 +87,7 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
-class Extent:
+class ValueSummary:
     """Largest, mean and smallest of some values; None of none."""
 
     largest: float | None
@@ -96,24 +96,24 @@ class Extent:
     count: int
 
     @classmethod
-    def of(cls, values: Iterable[float | None]) -> "Extent":
+    def from_values(cls, values: Iterable[float | None]) -> "ValueSummary":
         """Of the values that are there."""
         there = [value for value in values if value is not None]
         return cls(max(there), float(np.mean(there)), min(there), len(there)) if there else cls(None, None, None, 0)
 
 
 @dataclass(frozen=True, slots=True)
-class Convergence:
+class ConvergenceSummary:
     """A group's row of Table VI. `sample_error_n` is over single samples, `error_n` over the grasps' means."""
 
     grasps: int
-    convergence_s: Extent
-    error_n: Extent
-    sample_error_n: Extent
+    convergence_s: ValueSummary
+    error_n: ValueSummary
+    sample_error_n: ValueSummary
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class ParameterSummary:
     """A group's cell of Table VII. `geometric_mean`: exp of the mean log; `log_sd`: None for a single grasp."""
 
     mean: float
@@ -122,7 +122,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class GroupComparison:
     """How a parameter of one group is to that of another: ratio of geometric means with its 95 % interval, and p."""
 
     ratio: float
@@ -132,34 +132,34 @@ class Comparison:
 
     @property
     def differs(self) -> bool:
-        return self.p < SIGNIFICANT
+        return self.p < SIGNIFICANCE_LEVEL
 
 
 @dataclass(frozen=True, slots=True)
-class Tukey:
+class TukeyTest:
     """Tukey's honestly significant differences for one parameter, by pair of groups.
 
     `why_not`: one sentence where there are none. `too_small`: groups that could not take part.
     """
 
-    pairs: dict[tuple[str, str], Comparison]
-    too_small: tuple[str, ...] = ()
-    why_not: str | None = None
+    pairs: dict[tuple[str, str], GroupComparison]
+    too_small_groups: tuple[str, ...] = ()
+    skip_reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
     """Of all grasps of a report. `groups` and `values` (log parameters, (n, 3)) by name, the library's order first."""
 
-    told: tuple[Told, ...]
+    truth_sources: tuple[TruthSource, ...]
     groups: dict[str, list[Observation]]
-    values: dict[str, np.ndarray]
-    left_out: list[tuple[Observation, str]]
-    table_6: dict[str, Convergence]
-    table_7: dict[str, dict[str, Parameter]]
-    tukey: dict[str, Tukey]
+    log_parameters: dict[str, np.ndarray]
+    excluded: list[tuple[Observation, str]]
+    convergence: dict[str, ConvergenceSummary]
+    parameters: dict[str, dict[str, ParameterSummary]]
+    tukey: dict[str, TukeyTest]
 
-    def tell_apart(self) -> dict[tuple[str, str], list[str]]:
+    def find_distinguishing_parameters(self) -> dict[tuple[str, str], list[str]]:
         """For each pair of groups, the parameters that tell one from the other."""
         pairs = dict.fromkeys(pair for one in self.tukey.values() for pair in one.pairs)
         return {
@@ -168,41 +168,44 @@ class Statistics:
         }
 
 
-def statistics(observations: list[Observation], tissues: Iterable[str]) -> Statistics:
+def compute_statistics(observations: list[Observation], tissues: Iterable[str]) -> Statistics:
     """Group grasps by what was held and compare the groups; `tissues` of the library come first, in their order."""
-    left_out = [(one, why) for one in observations if (why := one.why_left_out())]
-    kept = [one for one in observations if one.why_left_out() is None]
+    left_out = [(one, why) for one in observations if (why := one.exclusion_reason())]
+    kept = [one for one in observations if one.exclusion_reason() is None]
     names = {one.group for one in kept}
     order = [name for name in (*tissues, *sorted(names - {*tissues, UNKNOWN}), UNKNOWN) if name in names]
     groups = {name: [one for one in kept if one.group == name] for name in order}
     values = {name: np.log([one.parameters for one in group]) for name, group in groups.items()}
     return Statistics(
-        tuple(dict.fromkeys(one.told for one in kept)),
+        tuple(dict.fromkeys(one.truth_source for one in kept)),
         groups,
         values,
         left_out,
-        {name: _convergence(group) for name, group in groups.items()},
-        {name: _parameters(logs) for name, logs in values.items()},
-        {name: compare({group: logs[:, k] for group, logs in values.items()}) for k, name in enumerate(PARAMETERS)},
+        {name: _summarize_convergence(group) for name, group in groups.items()},
+        {name: _summarize_parameters(logs) for name, logs in values.items()},
+        {
+            name: run_tukey_test({group: logs[:, k] for group, logs in values.items()})
+            for k, name in enumerate(PARAMETERS)
+        },
     )
 
 
-def _convergence(group: list[Observation]) -> Convergence:
+def _summarize_convergence(group: list[Observation]) -> ConvergenceSummary:
     ranges = [errors for one in group if (errors := one.sample_errors_n)]
-    means = Extent.of(one.force_error_n for one in group)
-    samples = Extent.of([low for low, _ in ranges] + [high for _, high in ranges])
-    return Convergence(
+    means = ValueSummary.from_values(one.force_error_n for one in group)
+    samples = ValueSummary.from_values([low for low, _ in ranges] + [high for _, high in ranges])
+    return ConvergenceSummary(
         len(group),
-        Extent.of(one.convergence_s for one in group),
+        ValueSummary.from_values(one.convergence_s for one in group),
         means,
-        Extent(samples.largest, means.mean, samples.smallest, len(ranges)),
+        ValueSummary(samples.largest, means.mean, samples.smallest, len(ranges)),
     )
 
 
-def _parameters(logs: np.ndarray) -> dict[str, Parameter]:
-    several = len(logs) >= LEAST
+def _summarize_parameters(logs: np.ndarray) -> dict[str, ParameterSummary]:
+    several = len(logs) >= MIN_GROUP_GRASPS
     return {
-        name: Parameter(
+        name: ParameterSummary(
             float(np.exp(logs[:, k]).mean()),
             float(np.exp(logs[:, k].mean())),
             float(logs[:, k].std(ddof=1)) if several else None,
@@ -211,22 +214,22 @@ def _parameters(logs: np.ndarray) -> dict[str, Parameter]:
     }
 
 
-def compare(logs: dict[str, np.ndarray]) -> Tukey:
+def run_tukey_test(logs: dict[str, np.ndarray]) -> TukeyTest:
     """Tukey's test (Tukey and Kramer's where groups are unequal) on logarithms of a parameter, (n,) for each group.
 
     On logarithms, because specimens scatter by factors, and the test takes all groups to scatter alike: alpha of
     bladder is a hundredth of the others', and as plain numbers its whole spread would vanish in liver's.
     """
-    large = {name: values for name, values in logs.items() if len(values) >= LEAST}
+    large = {name: values for name, values in logs.items() if len(values) >= MIN_GROUP_GRASPS}
     too_small = tuple(name for name in logs if name not in large)
     if len(large) < 2:
-        return Tukey({}, too_small, "Nothing to compare: it takes two groups of two grasps or more.")
+        return TukeyTest({}, too_small, "Nothing to compare: it takes two groups of two grasps or more.")
     if not any(np.ptp(values) > 0 for values in large.values()):
-        return Tukey({}, too_small, "Nothing to compare: within each group all values are the same.")
+        return TukeyTest({}, too_small, "Nothing to compare: within each group all values are the same.")
     result = tukey_hsd(*large.values())
-    interval = result.confidence_interval(1 - SIGNIFICANT)
+    interval = result.confidence_interval(1 - SIGNIFICANCE_LEVEL)
     pairs = {}
     for (i, one), (j, other) in combinations(enumerate(large), 2):
         ratio, low, high = np.exp([result.statistic[i, j], interval.low[i, j], interval.high[i, j]]).tolist()
-        pairs[one, other] = Comparison(ratio, low, high, float(result.pvalue[i, j]))
-    return Tukey(pairs, too_small)
+        pairs[one, other] = GroupComparison(ratio, low, high, float(result.pvalue[i, j]))
+    return TukeyTest(pairs, too_small)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from acquisition.blocks import SampleBlock
-from acquisition.pipeline import Pipeline
-from acquisition.recordings.playing import Recording
+from acquisition.pipeline import ConditioningPipeline
+from acquisition.recordings.playing import RecordingSource
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.alarms import ForceAlarm
-from estimator.blocks import EstimateBlock, GraspRecord, Withdrawal, finite
-from estimator.session import EstimationSession
+from estimator.blocks import EstimateBlock, GraspRecord, LabelWithdrawal, finite_or_none
+from estimator.session import TissueEstimator
 
 Progress = Callable[[float], None]  # share done
 
@@ -39,7 +39,7 @@ ESTIMATES = (
 )
 
 
-def trace_dtype(tissues: int) -> np.dtype:
+def make_trace_dtype(tissues: int) -> np.dtype:
     """One sample of a story with its estimates by K filters; names and units as in SAMPLE and `estimate_dtype`."""
     single = {"probability_unknown", "threshold_n"}
     signals = [(name, "f4") for name in SIGNALS]
@@ -48,7 +48,7 @@ def trace_dtype(tissues: int) -> np.dtype:
 
 
 @dataclass(frozen=True, slots=True)
-class Story:
+class AnalyzedRecording:
     """Everything a report needs of one recording. `traces`: (n,) of `trace_dtype`, ticks rising, gaps left out."""
 
     title: str
@@ -58,9 +58,9 @@ class Story:
     traces: np.ndarray
     grasps: tuple[GraspRecord, ...] = ()
     alarms: tuple[ForceAlarm, ...] = ()
-    withdrawals: tuple[Withdrawal, ...] = ()
+    withdrawals: tuple[LabelWithdrawal, ...] = ()
     thickness_m: dict[int, float] = field(default_factory=dict)  # measured at contact, by grasp
-    shut_tick: dict[int, int] = field(default_factory=dict)  # where the jaws were shut, by grasp
+    jaw_closure_tick: dict[int, int] = field(default_factory=dict)  # where the jaws were shut, by grasp
     lost_samples: int = 0
     tissue: str | None = None  # what was held, if the recording tells it
     facts: dict[str, Any] = field(default_factory=dict)
@@ -73,18 +73,18 @@ class Story:
     def duration_s(self) -> float:
         return (len(self.traces) + self.lost_samples) / self.rate_hz
 
-    def during(self, grasp: GraspRecord) -> np.ndarray:
+    def grasp_traces(self, grasp: GraspRecord) -> np.ndarray:
         """The traces of one grasp, a view."""
         first, last = (round(at_s * self.rate_hz) for at_s in (grasp.start_s, grasp.end_s))
         begin, end = np.searchsorted(self.traces["tick"], [first, last])
         return self.traces[begin:end]
 
-    def learned(self, grasp: GraspRecord) -> np.ndarray:
+    def traces_before_jaw_closure(self, grasp: GraspRecord) -> np.ndarray:
         """The traces of one grasp until its jaws were shut: what is steel from there on is no tissue."""
-        rows, shut_tick = self.during(grasp), self.shut_tick.get(grasp.index)
+        rows, shut_tick = self.grasp_traces(grasp), self.jaw_closure_tick.get(grasp.index)
         return rows if shut_tick is None else rows[: np.searchsorted(rows["tick"], shut_tick)]
 
-    def alarms_of(self, grasp: GraspRecord) -> list[ForceAlarm]:
+    def grasp_alarms(self, grasp: GraspRecord) -> list[ForceAlarm]:
         """The warnings of a grasp, the highest of each rise of the force."""
         rises: list[ForceAlarm] = []
         rising = False
@@ -102,41 +102,43 @@ class Story:
 
     def force_errors_n(self, grasp: GraspRecord) -> dict[str, tuple[float, float] | None]:
         """Of each filter: the lowest and the highest error of its force within a grasp (estimated less measured), N."""
-        rows = self.learned(grasp)
+        rows = self.traces_before_jaw_closure(grasp)
         errors = rows["force_n"] - rows["jaw_force_n"][:, None]
-        return {name: _range(errors[:, k]) for k, name in enumerate(self.library.tissues)}
+        return {name: _finite_range(errors[:, k]) for k, name in enumerate(self.library.tissues)}
 
 
-def _range(errors_n: np.ndarray) -> tuple[float, float] | None:
+def _finite_range(errors_n: np.ndarray) -> tuple[float, float] | None:
     sound = errors_n[np.isfinite(errors_n)]
     return (float(sound.min()), float(sound.max())) if len(sound) else None
 
 
-def open_recording(path: Path, tool: Tool) -> Recording:
+def open_recorded_run(path: Path, tool: Tool) -> RecordingSource:
     """A recording to be taken as fast as it goes, of a recorded run the run alone; `tool` made LabVIEW's.
 
     Raises:
         RecordingError: the file cannot be read; names file and line.
     """
-    recording = Recording(path, tool)
+    recording = RecordingSource(path, tool)
     recording.skip_to_run()
     return recording
 
 
-def story_of(recording: Recording, title: str, library: TissueLibrary, settings: Settings, progress: Progress) -> Story:
+def analyze_recording(
+    recording: RecordingSource, title: str, library: TissueLibrary, settings: Settings, progress: Progress
+) -> AnalyzedRecording:
     """Take a recording through calibration, conditioning, estimation and identification, and keep what is found."""
     tool = recording.tool
-    teller = Storyteller(title, tool, library, settings, recording.samples)
-    pipeline = Pipeline(tool, settings.conditioning)
+    teller = RecordingAnalyzer(title, tool, library, settings, recording.sample_count)
+    pipeline = ConditioningPipeline(tool, settings.conditioning)
     with recording:
         while (raw := recording.read_block()) is not None:
-            teller.take(pipeline.process(raw))
-            progress(teller.rows / recording.samples)
-    about = recording.container.about if recording.container else {}
-    return teller.end(tissue=about.get("tissue") or None, facts=_facts(recording.path, about))
+            teller.process(pipeline.process(raw))
+            progress(teller.rows / recording.sample_count)
+    about = recording.mcap_file.metadata if recording.mcap_file else {}
+    return teller.finish(tissue=about.get("tissue") or None, facts=_collect_facts(recording.path, about))
 
 
-def _facts(path: Path, about: dict[str, str]) -> dict[str, Any]:
+def _collect_facts(path: Path, about: dict[str, str]) -> dict[str, Any]:
     """`about`: what a recorded run says of itself."""
     found = path.stat()
     changed = datetime.fromtimestamp(found.st_mtime, UTC).isoformat(sep=" ", timespec="seconds")
@@ -145,21 +147,21 @@ def _facts(path: Path, about: dict[str, str]) -> dict[str, Any]:
     return facts | {word: about[name] for name, word in words.items() if about.get(name)}
 
 
-class Storyteller:
+class RecordingAnalyzer:
     """Estimates a source's blocks in their order and puts them together as a story."""
 
-    def __init__(self, title: str, tool: Tool, library: TissueLibrary, settings: Settings, most_samples: int) -> None:
+    def __init__(self, title: str, tool: Tool, library: TissueLibrary, settings: Settings, max_samples: int) -> None:
         self._title, self._tool, self._library, self._settings = title, tool, library, settings
-        self._session = EstimationSession(tool, library, settings)
-        self._traces = np.empty(most_samples, trace_dtype(len(library.tissues)))
+        self._session = TissueEstimator(tool, library, settings)
+        self._traces = np.empty(max_samples, make_trace_dtype(len(library.tissues)))
         self.rows, self._lost_samples = 0, 0
         self._grasps: list[GraspRecord] = []
         self._alarms: list[ForceAlarm] = []
-        self._withdrawals: list[Withdrawal] = []
+        self._withdrawals: list[LabelWithdrawal] = []
         self._thickness_m: dict[int, float] = {}
-        self._shut_tick: dict[int, int] = {}
+        self._jaw_closure_tick: dict[int, int] = {}
 
-    def take(self, block: SampleBlock) -> EstimateBlock:
+    def process(self, block: SampleBlock) -> EstimateBlock:
         """The next block; returns what the estimator makes of it."""
         estimate = self._session.process(block)
         rows = self._traces[self.rows : self.rows + len(block.samples)]
@@ -174,17 +176,17 @@ class Storyteller:
         self._alarms += estimate.alarms
         self._withdrawals += estimate.withdrawn
         found = estimate.identification
-        if found.in_grasp and found.thickness_m is not None and (thickness_m := finite(found.thickness_m)):
+        if found.in_grasp and found.thickness_m is not None and (thickness_m := finite_or_none(found.thickness_m)):
             self._thickness_m[found.grasp] = thickness_m
         shut = block.samples[block.samples["wall_tick"] >= 0]
-        self._shut_tick |= dict(zip(shut["grasp"].tolist(), shut["wall_tick"].tolist(), strict=True))
+        self._jaw_closure_tick |= dict(zip(shut["grasp"].tolist(), shut["wall_tick"].tolist(), strict=True))
         return estimate
 
-    def end(self, *, tissue: str | None = None, facts: dict[str, Any] | None = None) -> Story:
+    def finish(self, *, tissue: str | None = None, facts: dict[str, Any] | None = None) -> AnalyzedRecording:
         """The story so far, with the grasp that its end cut short."""
         if last := self._session.finish():
             self._grasps.append(last)
-        return Story(
+        return AnalyzedRecording(
             self._title,
             self._tool,
             self._library,
@@ -194,7 +196,7 @@ class Storyteller:
             tuple(self._alarms),
             tuple(self._withdrawals),
             self._thickness_m,
-            self._shut_tick,
+            self._jaw_closure_tick,
             self._lost_samples,
             tissue,
             facts or {},

@@ -1,6 +1,6 @@
 """What a report's page looks like beyond what it shares with the studies."""
 
-STYLE = """
+REPORT_CSS = """
 .menu, .facts { display: flex; flex-wrap: wrap; gap: 0.25rem 1.5rem; margin: 0.5rem 0; padding: 0; list-style: none }
 .facts { color: var(--dim) }
 .menu a { display: inline-block; padding: 0.6rem 0 }

@@ -1,29 +1,37 @@
 """The statistics as tables, as the page and the JSON have them."""
 
-from app.report.looks import Look
-from app.report.statistics import PARAMETERS, SIGNIFICANT, Extent, Statistics
+from app.report.looks import TissueStyle
+from app.report.statistics import PARAMETERS, SIGNIFICANCE_LEVEL, Statistics, ValueSummary
 from config.schema import TissueLibrary
 from estimator.studies.page import Table
 from estimator.studies.printed_tables import TABLE_6_N, TABLE_6_S, TABLE_7, TISSUES
 
-UNITS = {"alpha": "α, N", "beta": "β, 1/m", "d": "d, kg/s"}
-GREEK = {"alpha": "α", "beta": "β", "d": "d"}
-EXTREMES = ("max", "mean", "min")
+PARAMETER_LABELS = {"alpha": "α, N", "beta": "β, 1/m", "d": "d, kg/s"}
+PARAMETER_SYMBOLS = {"alpha": "α", "beta": "β", "d": "d"}
+SUMMARY_COLUMNS = ("max", "mean", "min")
 
 
-def statistics_tables(found: Statistics, library: TissueLibrary, looks: dict[str, Look]) -> list[Table]:
+def build_statistics_tables(
+    statistics: Statistics, library: TissueLibrary, tissue_styles: dict[str, TissueStyle]
+) -> list[Table]:
     """Tables VI and VII, Tukey's comparisons, and what tells which pair apart."""
-    if not found.groups:
+    if not statistics.groups:
         return []
-    tables = [_table_6(found, looks), _table_7(found, library, looks)]
-    if any(one.pairs for one in found.tukey.values()):
-        tables += [_tukey(found, looks), _tell_apart(found, looks)]
+    tables = [
+        _build_convergence_table(statistics, tissue_styles),
+        _build_parameter_table(statistics, library, tissue_styles),
+    ]
+    if any(one.pairs for one in statistics.tukey.values()):
+        tables += [
+            _build_tukey_table(statistics, tissue_styles),
+            _build_distinguishing_table(statistics, tissue_styles),
+        ]
     return tables
 
 
-def _table_6(found: Statistics, looks: dict[str, Look]) -> Table:
+def _build_convergence_table(statistics: Statistics, tissue_styles: dict[str, TissueStyle]) -> Table:
     rows = []
-    for name, row in found.table_6.items():
+    for name, row in statistics.convergence.items():
         printed = TISSUES.index(name) if name in TISSUES else None
         kinds = [
             ("convergence time, s", row.convergence_s, TABLE_6_S),
@@ -32,10 +40,10 @@ def _table_6(found: Statistics, looks: dict[str, Look]) -> Table:
         ]
         for what, extent, paper in kinds:
             theirs = (None, None, None) if paper is None or printed is None else paper[printed]
-            rows.append([looks[name].title, what, row.grasps, extent.count, *_values(extent), *theirs])
+            rows.append([tissue_styles[name].title, what, row.grasps, extent.count, *_summary_cells(extent), *theirs])
     return Table(
         "Table VI: convergence time and force error",
-        ["tissue", "of", "grasps", "counted", *EXTREMES, *(f"paper: {word}" for word in EXTREMES)],
+        ["tissue", "of", "grasps", "counted", *SUMMARY_COLUMNS, *(f"paper: {word}" for word in SUMMARY_COLUMNS)],
         rows,
         "Of the tissue's own filter; of a group that is not in the library, of the likeliest tissue's. The time counts "
         "from contact until the error stays within 15 % of the grasp's largest force; a grasp where it never does is "
@@ -45,25 +53,27 @@ def _table_6(found: Statistics, looks: dict[str, Look]) -> Table:
     )
 
 
-def _values(extent: Extent) -> list[float | None]:
+def _summary_cells(extent: ValueSummary) -> list[float | None]:
     return [extent.largest, extent.mean, extent.smallest]
 
 
-def _table_7(found: Statistics, library: TissueLibrary, looks: dict[str, Look]) -> Table:
+def _build_parameter_table(
+    statistics: Statistics, library: TissueLibrary, tissue_styles: dict[str, TissueStyle]
+) -> Table:
     rows = []
-    for name, parameters in found.table_7.items():
+    for name, parameters in statistics.parameters.items():
         profile = library.tissues.get(name)
         for parameter, value in parameters.items():
             rows.append(
                 [
-                    looks[name].title,
-                    UNITS[parameter],
-                    len(found.groups[name]),
+                    tissue_styles[name].title,
+                    PARAMETER_LABELS[parameter],
+                    len(statistics.groups[name]),
                     value.mean,
                     value.geometric_mean,
                     value.log_sd,
                     getattr(profile, PARAMETERS[parameter]) if profile else None,
-                    _printed_7(parameter, name, library),
+                    _find_paper_mean(parameter, name, library),
                 ]
             )
     return Table(
@@ -75,7 +85,7 @@ def _table_7(found: Statistics, library: TissueLibrary, looks: dict[str, Look]) 
     )
 
 
-def _printed_7(parameter: str, name: str, library: TissueLibrary) -> float | None:
+def _find_paper_mean(parameter: str, name: str, library: TissueLibrary) -> float | None:
     if name not in TISSUES or name not in library.tissues:
         return None
     printed = TABLE_7[parameter][TISSUES.index(name)]
@@ -84,19 +94,23 @@ def _printed_7(parameter: str, name: str, library: TissueLibrary) -> float | Non
     return printed / library.tissues[name].thickness_m if parameter == "beta" else printed
 
 
-def _tukey(found: Statistics, looks: dict[str, Look]) -> Table:
+def _build_tukey_table(statistics: Statistics, tissue_styles: dict[str, TissueStyle]) -> Table:
     rows = []
-    for pair in found.tell_apart():
-        row: list[str | None] = [" / ".join(looks[name].title for name in pair)]
-        for one in found.tukey.values():
+    for pair in statistics.find_distinguishing_parameters():
+        row: list[str | None] = [" / ".join(tissue_styles[name].title for name in pair)]
+        for one in statistics.tukey.values():
             compared = one.pairs.get(pair)
             if compared is None:
                 row += [None, None]
                 continue
             interval = f"{compared.ratio:.3g} ({compared.low:.3g} to {compared.high:.3g})"
-            row += [interval, p_in_words(compared.p)]
+            row += [interval, format_p_value(compared.p)]
         rows.append(row)
-    columns = [column for name in found.tukey for column in (f"{GREEK[name]}: ratio (95 %)", f"{GREEK[name]}: p")]
+    columns = [
+        column
+        for name in statistics.tukey
+        for column in (f"{PARAMETER_SYMBOLS[name]}: ratio (95 %)", f"{PARAMETER_SYMBOLS[name]}: p")
+    ]
     return Table(
         "Tukey's honestly significant differences",
         ["pair", *columns],
@@ -106,14 +120,14 @@ def _tukey(found: Statistics, looks: dict[str, Look]) -> Table:
     )
 
 
-def _tell_apart(found: Statistics, looks: dict[str, Look]) -> Table:
+def _build_distinguishing_table(statistics: Statistics, tissue_styles: dict[str, TissueStyle]) -> Table:
     rows = []
-    for pair, telling in found.tell_apart().items():
-        words = ", ".join(GREEK[name] for name in telling) or "none of them"
-        rows.append([" and ".join(looks[name].title for name in pair), words])
-    return Table(f"What tells which pair apart (p < {SIGNIFICANT:g})", ["pair", "parameters"], rows)
+    for pair, telling in statistics.find_distinguishing_parameters().items():
+        words = ", ".join(PARAMETER_SYMBOLS[name] for name in telling) or "none of them"
+        rows.append([" and ".join(tissue_styles[name].title for name in pair), words])
+    return Table(f"What tells which pair apart (p < {SIGNIFICANCE_LEVEL:g})", ["pair", "parameters"], rows)
 
 
-def p_in_words(p: float) -> str:
+def format_p_value(p: float) -> str:
     """A probability that is never told as nothing."""
     return "<\u00a00.001" if p < 0.001 else f"{p:.3f}"

@@ -6,57 +6,64 @@ from math import ceil
 
 import numpy as np
 
-NO_VALUE = 65535  # of a packed channel
-STEPS = NO_VALUE - 1
+PACKED_NAN = 65535  # of a packed channel
+PACKED_MAX = PACKED_NAN - 1
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class TimeGrid:
     """Where the points of a page's trace lie in time."""
 
     start_tick: int
-    ticks: int  # from the first sample to the last
-    stretch: int  # samples that a pair of points stands for; 1: each sample is a point
+    span_ticks: int  # from the first sample to the last
+    samples_per_pair: int  # samples that a pair of points stands for; 1: each sample is a point
 
     @classmethod
-    def over(cls, ticks: np.ndarray, most_points: int) -> "Grid":
+    def from_ticks(cls, ticks: np.ndarray, max_points: int) -> "TimeGrid":
         """For samples at rising `ticks`, with at most so many points, two at least."""
         if not len(ticks):
             return cls(0, 0, 1)
         span = int(ticks[-1] - ticks[0]) + 1
-        return cls(int(ticks[0]), span, 1 if span <= most_points else ceil(span / (most_points // 2)))
+        return cls(int(ticks[0]), span, 1 if span <= max_points else ceil(span / (max_points // 2)))
 
     @property
-    def step(self) -> float:
+    def step_ticks(self) -> float:
         """Ticks from one point to the next."""
-        return 1.0 if self.stretch == 1 else self.stretch / 2
+        return 1.0 if self.samples_per_pair == 1 else self.samples_per_pair / 2
 
     @property
-    def points(self) -> int:
-        return self.ticks if self.stretch == 1 else 2 * ceil(self.ticks / self.stretch)
+    def point_count(self) -> int:
+        return self.span_ticks if self.samples_per_pair == 1 else 2 * ceil(self.span_ticks / self.samples_per_pair)
 
-    def at(self) -> np.ndarray:
+    def point_ticks(self) -> np.ndarray:
         """Ticks of the points, (points,)."""
-        return self.start_tick + (np.arange(self.points) + (0.0 if self.stretch == 1 else 0.5)) * self.step
+        return (
+            self.start_tick
+            + (np.arange(self.point_count) + (0.0 if self.samples_per_pair == 1 else 0.5)) * self.step_ticks
+        )
 
-    def thin(self, ticks: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def downsample(self, ticks: np.ndarray, values: np.ndarray) -> np.ndarray:
         """`values` (n,) at `ticks` (n,) as (points,): pairs of least and greatest, in the order in which they lead on.
 
         NaN where no sample has a value.
         """
-        padded = np.full(self.ticks if self.stretch == 1 else self.points // 2 * self.stretch, np.nan, np.float32)
+        padded = np.full(
+            self.span_ticks if self.samples_per_pair == 1 else self.point_count // 2 * self.samples_per_pair,
+            np.nan,
+            np.float32,
+        )
         padded[ticks - self.start_tick] = values
-        if self.stretch == 1:
+        if self.samples_per_pair == 1:
             return padded
-        stretches = padded.reshape(-1, self.stretch)
+        stretches = padded.reshape(-1, self.samples_per_pair)
         least, greatest = np.fmin.reduce(stretches, axis=1), np.fmax.reduce(stretches, axis=1)
-        half = self.stretch // 2
+        half = self.samples_per_pair // 2
         with np.errstate(invalid="ignore"):
             falls = np.fmax.reduce(stretches[:, :half], axis=1) > np.fmax.reduce(stretches[:, half:], axis=1)
         return np.where(falls, [greatest, least], [least, greatest]).T.ravel()
 
 
-def pack(values: np.ndarray) -> tuple[str, float, float]:
+def pack_values(values: np.ndarray) -> tuple[str, float, float]:
     """Values as 16-bit steps between their least and their greatest, base64, with these two; NaN is `NO_VALUE`."""
     sound = np.isfinite(values)
     if not sound.any():
@@ -64,6 +71,6 @@ def pack(values: np.ndarray) -> tuple[str, float, float]:
     else:
         low = float(values[sound].min())
         span = float(values[sound].max()) - low
-    steps = np.full(len(values), NO_VALUE, "<u2")
-    steps[sound] = np.rint((values[sound] - low) / (span or 1.0) * STEPS)
+    steps = np.full(len(values), PACKED_NAN, "<u2")
+    steps[sound] = np.rint((values[sound] - low) / (span or 1.0) * PACKED_MAX)
     return base64.b64encode(steps.tobytes()).decode(), low, low + span

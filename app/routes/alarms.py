@@ -5,37 +5,40 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from app.people.roles import needs, signed_by
-from app.problems import PROBLEM, ProblemError
-from app.routes.runs import station_of
+from app.people.roles import require_requester_name, require_role
+from app.problems import PROBLEM_RESPONSE, ProblemError
+from app.routes.runs import get_tool_service
 from app.wire import AcknowledgeRequest, Alarm, JournalEntry, Role
 from config.errors import RefusedError
 
 router = APIRouter(prefix="/api", tags=["alarms"])
 
 
-@router.get("/alarms", dependencies=[needs(Role.VIEWER)])
+@router.get("/alarms", dependencies=[require_role(Role.VIEWER)])
 async def alarms(request: Request) -> list[Alarm]:
     """Alarms whose cause is there, and those that stay until somebody has acknowledged them."""
-    return station_of(request).alarms.all()
+    return get_tool_service(request).alarms.current_alarms()
 
 
 @router.post(
     "/alarms/{alarm_id}/acknowledge",
-    dependencies=[needs(Role.OPERATOR)],
-    responses={404: {"description": "No such alarm", **PROBLEM}, 409: {"description": "Worse by now", **PROBLEM}},
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={
+        404: {"description": "No such alarm", **PROBLEM_RESPONSE},
+        409: {"description": "Worse by now", **PROBLEM_RESPONSE},
+    },
 )
-async def acknowledge(request: Request, alarm_id: str, wanted: AcknowledgeRequest) -> Alarm:
+async def acknowledge(request: Request, alarm_id: str, body: AcknowledgeRequest) -> Alarm:
     """Somebody has seen an alarm: it falls silent on every page, and stays in sight until its cause is gone."""
-    by = signed_by(request, wanted.by)
+    by = require_requester_name(request, body.by)
     try:
-        return await station_of(request).arming.acknowledge(alarm_id, wanted.priority, by)
+        return await get_tool_service(request).arming.acknowledge(alarm_id, body.priority, by)
     except RefusedError as error:
         status = HTTPStatus.NOT_FOUND if error.field == "id" else HTTPStatus.CONFLICT
         raise ProblemError(status, str(error)) from None
 
 
-@router.get("/journal", dependencies=[needs(Role.VIEWER)])
+@router.get("/journal", dependencies=[require_role(Role.VIEWER)])
 async def journal(request: Request, most: Annotated[int, Query(ge=1, le=2000)] = 200) -> list[JournalEntry]:
     """What happened and who did it since the service started, newest first."""
-    return station_of(request).journal.newest(most)
+    return get_tool_service(request).journal.newest_entries(most)

@@ -6,19 +6,19 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import StreamingResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from app.audit.export import JournalFormat, Wanted, export
-from app.audit.watch import ChainWatch
-from app.people.roles import needs
-from app.problems import PROBLEM
-from app.routes.runs import station_of
-from app.store.questions import Words
+from app.audit.export import JournalFilter, JournalFormat, export_lines
+from app.audit.watch import JournalWatch
+from app.people.roles import require_role
+from app.problems import PROBLEM_RESPONSE
+from app.routes.runs import get_tool_service
+from app.store.questions import SearchText
 from app.wire import JournalCheck, Role
 
 router = APIRouter(prefix="/api/audit", tags=["history"])
 MEDIA_TYPES = {JournalFormat.CSV: "text/csv", JournalFormat.JSONL: "application/jsonl"}
 
 
-class ExportQuestion(BaseModel):
+class ExportQuery(BaseModel):
     """Null: any."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -26,26 +26,28 @@ class ExportQuestion(BaseModel):
     format: JournalFormat = JournalFormat.CSV
     since: Annotated[AwareDatetime | None, Field(description="ISO 8601 with a zone; from then on")] = None
     until: Annotated[AwareDatetime | None, Field(description="ISO 8601 with a zone; before then")] = None
-    by: Words | None = None
+    by: SearchText | None = None
 
 
 @router.get(
     "/check",
-    dependencies=[needs(Role.VIEWER)],
-    responses={503: {"description": "The index cannot be asked", **PROBLEM}},
+    dependencies=[require_role(Role.VIEWER)],
+    responses={503: {"description": "The index cannot be asked", **PROBLEM_RESPONSE}},
 )
 async def check(request: Request) -> JournalCheck:
     """Whether any line was changed, removed, put in or moved: by the chain, and by what the index knows.
 
     `graspwatch audit verify` also asks the recordings. What was found is told again for five seconds.
     """
-    chain: ChainWatch = request.app.state.chain
-    return await chain.look()
+    chain: JournalWatch = request.app.state.chain
+    return await chain.check()
 
 
-@router.get("/export", dependencies=[needs(Role.ADMIN)], response_class=StreamingResponse)
-async def export_journal(request: Request, asked: Annotated[ExportQuestion, Query()]) -> StreamingResponse:
+@router.get("/export", dependencies=[require_role(Role.ADMIN)], response_class=StreamingResponse)
+async def export_journal(request: Request, query: Annotated[ExportQuery, Query()]) -> StreamingResponse:
     """The journal, oldest line first: a table, or the lines as they stand."""
-    lines = export(station_of(request).plan.data, Wanted(asked.since, asked.until, asked.by), asked.format)
-    headers = {"Content-Disposition": f'attachment; filename="graspwatch-journal.{asked.format.value}"'}
-    return StreamingResponse(lines, media_type=MEDIA_TYPES[asked.format], headers=headers)
+    lines = export_lines(
+        get_tool_service(request).plan.data_folder, JournalFilter(query.since, query.until, query.by), query.format
+    )
+    headers = {"Content-Disposition": f'attachment; filename="graspwatch-journal.{query.format.value}"'}
+    return StreamingResponse(lines, media_type=MEDIA_TYPES[query.format], headers=headers)

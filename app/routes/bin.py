@@ -5,52 +5,55 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from app.people.roles import needs, signed_by
-from app.problems import PROBLEM, ProblemError
+from app.people.roles import require_requester_name, require_role
+from app.problems import PROBLEM_RESPONSE, ProblemError
 from app.recording_bin import RecordingBin
-from app.wire import BinContent, Emptied, FileRecord, Person, Role
+from app.wire import BinContent, Emptied, FileRecord, PersonName, Role
 from config.errors import RefusedError
 
 router = APIRouter(prefix="/api/bin", tags=["recordings"])
-By = Annotated[Person | None, Query(description="Who does it; whoever is signed in may leave it out")]
-NOT_ADMIN = {403: {"description": "Not an admin", **PROBLEM}}
+RequesterQuery = Annotated[PersonName | None, Query(description="Who does it; whoever is signed in may leave it out")]
+FORBIDDEN_RESPONSE = {403: {"description": "Not an admin", **PROBLEM_RESPONSE}}
 
 
-@router.get("", dependencies=[needs(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM}})
+@router.get(
+    "", dependencies=[require_role(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM_RESPONSE}}
+)
 async def content(request: Request) -> BinContent:
     """Deleted recordings that can be restored. They take room until the bin is emptied."""
-    return await _bin(request).content()
+    return await _get_recording_bin(request).list_content()
 
 
 @router.post(
     "/{entry}/restore",
-    dependencies=[needs(Role.ADMIN)],
-    responses=NOT_ADMIN
+    dependencies=[require_role(Role.ADMIN)],
+    responses=FORBIDDEN_RESPONSE
     | {
-        404: {"description": "No such entry", **PROBLEM},
-        409: {"description": "There is a recording of its name", **PROBLEM},
-        503: {"description": "It cannot be restored", **PROBLEM},
+        404: {"description": "No such entry", **PROBLEM_RESPONSE},
+        409: {"description": "There is a recording of its name", **PROBLEM_RESPONSE},
+        503: {"description": "It cannot be restored", **PROBLEM_RESPONSE},
     },
 )
-async def restore(request: Request, entry: str, by: By = None) -> FileRecord:
+async def restore(request: Request, entry: str, by: RequesterQuery = None) -> FileRecord:
     """Bring a deleted recording back: only an admin may. The journal keeps who did it."""
-    by = signed_by(request, by)
+    by = require_requester_name(request, by)
     try:
-        file = await _bin(request).find(entry)
+        file = await _get_recording_bin(request).find(entry)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
-    return await _bin(request).restore(file, by)
+    return await _get_recording_bin(request).restore(file, by)
 
 
 @router.delete(
     "",
-    dependencies=[needs(Role.ADMIN)],
-    responses=NOT_ADMIN | {503: {"description": "It cannot be emptied, or not be written down", **PROBLEM}},
+    dependencies=[require_role(Role.ADMIN)],
+    responses=FORBIDDEN_RESPONSE
+    | {503: {"description": "It cannot be emptied, or not be written down", **PROBLEM_RESPONSE}},
 )
-async def empty(request: Request, by: By = None) -> Emptied:
+async def empty(request: Request, by: RequesterQuery = None) -> Emptied:
     """Remove all that is in the bin, for good: only an admin may. The journal keeps what and who did it."""
-    return await _bin(request).empty(signed_by(request, by))
+    return await _get_recording_bin(request).empty(require_requester_name(request, by))
 
 
-def _bin(request: Request) -> RecordingBin:
+def _get_recording_bin(request: Request) -> RecordingBin:
     return request.app.state.bin

@@ -5,77 +5,79 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Request
 
-from app.audit.deeds import note_deed
-from app.bench.desk import CalibrationDesk
-from app.people.roles import needs, signed
-from app.problems import PROBLEM, ProblemError
-from app.routes.control import take_control
-from app.routes.runs import check_tool, station_of
+from app.audit.deeds import note_request
+from app.bench.desk import CalibrationSession
+from app.people.roles import requester_name, require_role
+from app.problems import PROBLEM_RESPONSE, ProblemError
+from app.routes.control import acquire_control
+from app.routes.runs import check_has_tool, get_tool_service
 from app.wire import Calibration, CalibrationRequest, Role
 from config.errors import CalibrationError, ConfigurationError, RefusedError, ServiceError
 
 router = APIRouter(prefix="/api/calibration", tags=["calibration"])
-BUSY = {409: {"description": "Not now, or it cannot be trusted; the text says what to do", **PROBLEM}}
+CONFLICT_RESPONSE = {
+    409: {"description": "Not now, or it cannot be trusted; the text says what to do", **PROBLEM_RESPONSE}
+}
 
 
-def _desk(request: Request) -> CalibrationDesk:
+def _get_calibration_session(request: Request) -> CalibrationSession:
     return request.app.state.calibration
 
 
-@router.get("", dependencies=[needs(Role.VIEWER)])
+@router.get("", dependencies=[require_role(Role.VIEWER)])
 async def calibration(request: Request) -> Calibration:
     """The calibration under way, or the last one."""
-    return _desk(request).state
+    return _get_calibration_session(request).state
 
 
 @router.post(
     "",
-    dependencies=[needs(Role.OPERATOR)],
+    dependencies=[require_role(Role.OPERATOR)],
     status_code=HTTPStatus.CREATED,
-    responses=BUSY | {503: {"description": "The new tool file could not be written", **PROBLEM}},
+    responses=CONFLICT_RESPONSE | {503: {"description": "The new tool file could not be written", **PROBLEM_RESPONSE}},
 )
-async def begin(request: Request, wanted: Annotated[CalibrationRequest, Body()]) -> Calibration:
+async def begin(request: Request, body: Annotated[CalibrationRequest, Body()]) -> Calibration:
     """Begin one. Nothing moves yet."""
-    note_deed(request, what=f"Begin calibration of {wanted.what}")
-    check_tool(station_of(request))
-    take_control(request)
+    note_request(request, description=f"Begin calibration of {body.what}")
+    check_has_tool(get_tool_service(request))
+    acquire_control(request)
     try:
-        _desk(request).begin(wanted)
+        _get_calibration_session(request).begin(body)
     except CalibrationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "values") from None
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
-    return _desk(request).state
+    return _get_calibration_session(request).state
 
 
 @router.post(
     "/reading",
-    dependencies=[needs(Role.OPERATOR)],
-    responses=BUSY | {503: {"description": "The tool does not answer", **PROBLEM}},
+    dependencies=[require_role(Role.OPERATOR)],
+    responses=CONFLICT_RESPONSE | {503: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
 )
 async def read(request: Request) -> Calibration:
     """Take the next reading; answers when it is taken. For `stretch` and `geometry` the jaws close gently."""
-    note_deed(request, what="Take a reading for a calibration")
-    check_tool(station_of(request))
-    take_control(request)
+    note_request(request, description="Take a reading for a calibration")
+    check_has_tool(get_tool_service(request))
+    acquire_control(request)
     try:
-        await _desk(request).read(signed(request, None))
+        await _get_calibration_session(request).take_reading(requester_name(request, None))
     except (CalibrationError, RefusedError) as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     except (ServiceError, ConfigurationError) as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
-    return _desk(request).state
+    return _get_calibration_session(request).state
 
 
-@router.delete("", dependencies=[needs(Role.OPERATOR)], responses=BUSY)
+@router.delete("", dependencies=[require_role(Role.OPERATOR)], responses=CONFLICT_RESPONSE)
 async def abandon(request: Request) -> Calibration:
     """Forget the one under way. Nothing is written."""
-    check_tool(station_of(request))
-    take_control(request)
+    check_has_tool(get_tool_service(request))
+    acquire_control(request)
     try:
-        _desk(request).abandon()
+        _get_calibration_session(request).discard()
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
-    return _desk(request).state
+    return _get_calibration_session(request).state

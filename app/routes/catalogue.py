@@ -8,68 +8,73 @@ from pydantic import TypeAdapter
 
 from acquisition.protocol import command_cycle
 from app import __version__
-from app.describe import library_info, tool_info
-from app.people.roles import ANYBODY, needs, who_asks
-from app.routes.runs import station_of
+from app.describe import build_library_info, build_tool_info
+from app.people.roles import PUBLIC_ROUTE, get_user, require_role
+from app.routes.runs import get_tool_service
 from app.wire import Health, LibraryInfo, Phase, ProtocolInfo, Role, ToolInfo
 from config.errors import RefusedError
-from config.load import available, load_protocol, stamp
-from config.schema import Protocol, Tool
+from config.load import list_shipped_names, load_protocol, read_modification_times
+from config.schema import GraspProtocol, Tool
 
 router = APIRouter(tags=["catalogue"])
-PREVIEW_POINTS = 200
+MAX_PREVIEW_POINTS = 200
 
 
 @router.get(
-    "/api/health", dependencies=[ANYBODY], responses={503: {"model": Health, "description": "Starting, or faulted"}}
+    "/api/health",
+    dependencies=[PUBLIC_ROUTE],
+    responses={503: {"model": Health, "description": "Starting, or faulted"}},
 )
 async def health(request: Request, response: Response) -> Health:
     """Ready once the filters are compiled and samples arrive."""
-    station = request.app.state.station
-    workers = station.conditions()
+    station = get_tool_service(request)
+    workers = station.worker_conditions()
     phase = station.phase
     if phase is Phase.FAULTED:
-        texts = station.alarms.technical_texts()
+        texts = station.alarms.technical_alarm_texts()
         status, detail = "faulted", station.internal_error or "; ".join(texts) or "a worker is down"
     elif phase is Phase.STARTING:
-        texts = station.alarms.technical_texts()
+        texts = station.alarms.technical_alarm_texts()
         waiting_for = "opening the tool" if station.estimator_ready.is_set() else "preparing the filters"
         status, detail = "starting", "; ".join(texts) or waiting_for
     else:
         status, detail = "ready", phase.value
     response.status_code = 200 if status == "ready" else 503
-    if who_asks(request) is None:
+    if get_user(request) is None:
         return Health(status=status, version=None, workers={}, detail="Sign in to learn more.")
     return Health(status=status, version=__version__, workers=workers, detail=detail)
 
 
-@router.get("/api/tool", dependencies=[needs(Role.VIEWER)])
+@router.get("/api/tool", dependencies=[require_role(Role.VIEWER)])
 async def tool(request: Request) -> ToolInfo:
     """The tool in use."""
-    return tool_info(station_of(request).plan.tool)
+    return build_tool_info(get_tool_service(request).plan.tool)
 
 
-@router.get("/api/protocols", dependencies=[needs(Role.VIEWER)], response_model=list[ProtocolInfo])
+@router.get("/api/protocols", dependencies=[require_role(Role.VIEWER)], response_model=list[ProtocolInfo])
 async def protocols(request: Request) -> Response:
     """The protocols, the shortest first, each with its waveform for a preview."""
-    return Response(_previews(station_of(request).plan.tool, stamp("protocols")), media_type="application/json")
+    return Response(
+        _build_previews(get_tool_service(request).plan.tool, read_modification_times("protocols")),
+        media_type="application/json",
+    )
 
 
 @functools.lru_cache(maxsize=2)
-def _previews(tool: Tool, stamp_ns: tuple[int, ...]) -> bytes:
+def _build_previews(tool: Tool, stamp_ns: tuple[int, ...]) -> bytes:
     """Worked out once for the files as they are: a storm of requests must not hold up a STOP."""
-    result = [_preview(load_protocol(name), tool) for name in available("protocols")]
+    result = [_build_preview(load_protocol(name), tool) for name in list_shipped_names("protocols")]
     result.sort(key=lambda protocol: (protocol.cycle_s, protocol.name))
     return TypeAdapter(list[ProtocolInfo]).dump_json(result)
 
 
-def _preview(protocol: Protocol, tool: Tool) -> ProtocolInfo:
+def _build_preview(protocol: GraspProtocol, tool: Tool) -> ProtocolInfo:
     refused, command = None, np.zeros(0)
     try:
         command = command_cycle(protocol, tool)
     except RefusedError as error:
         refused = str(error)
-    thin = max(len(command) // PREVIEW_POINTS, 1)
+    thin = max(len(command) // MAX_PREVIEW_POINTS, 1)
     return ProtocolInfo(
         name=protocol.name,
         title=protocol.title,
@@ -82,13 +87,13 @@ def _preview(protocol: Protocol, tool: Tool) -> ProtocolInfo:
     )
 
 
-@router.get("/api/tissues", dependencies=[needs(Role.VIEWER)])
+@router.get("/api/tissues", dependencies=[require_role(Role.VIEWER)])
 async def tissues(request: Request) -> LibraryInfo:
     """The tissue library in use."""
-    return library_info(station_of(request).plan)
+    return build_library_info(get_tool_service(request).plan)
 
 
-@router.get("/metrics", dependencies=[needs(Role.VIEWER)], include_in_schema=False)
+@router.get("/metrics", dependencies=[require_role(Role.VIEWER)], include_in_schema=False)
 async def metrics(request: Request) -> Response:
     """Prometheus metrics."""
-    return Response(station_of(request).measured(), media_type="text/plain; version=0.0.4; charset=utf-8")
+    return Response(get_tool_service(request).render_metrics(), media_type="text/plain; version=0.0.4; charset=utf-8")

@@ -5,74 +5,76 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Request
 
-from app.people.roles import needs, who_asks
-from app.problems import PROBLEM, ProblemError
-from app.station import Station
+from app.people.roles import get_user, require_role
+from app.problems import PROBLEM_RESPONSE, ProblemError
+from app.station import ToolService
 from app.wire import ControlInfo, ControlRequest, JournalKind, Role
 from config.errors import RefusedError
 
 router = APIRouter(prefix="/api/control", tags=["control"])
-NO_NEED = "Without tokens nobody needs control. Make them with `graspwatch token add NAME --role operator`."
+NO_TOKENS_TEXT = "Without tokens nobody needs control. Make them with `graspwatch token add NAME --role operator`."
 
 
-def take_control(request: Request, *, over: bool = False) -> None:
+def acquire_control(request: Request, *, take_over: bool = False) -> None:
     """Have whoever asks in control before he moves the tool. Without tokens nobody needs to be.
 
     Raises:
         ProblemError: somebody else has control.
     """
-    who, station = who_asks(request), _station(request)
+    who, station = get_user(request), _get_tool_service(request)
     if who is None or who.name is None:
         return
     try:
-        before = station.control.take(who.name, over=over)
+        before = station.control_lease.acquire(who.name, take_over=take_over)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     if before != who.name:
         taken = f"Control taken over from {before}" if before else "Control taken"
-        station.tell_event(taken, JournalKind.ACCESS, who.name)
-        station.tell_state()
+        station.publish_event(taken, JournalKind.ACCESS, who.name)
+        station.publish_state()
 
 
-@router.get("", dependencies=[needs(Role.VIEWER)])
+@router.get("", dependencies=[require_role(Role.VIEWER)])
 async def control(request: Request) -> ControlInfo:
     """Who has control."""
-    lease = _station(request).control
+    lease = _get_tool_service(request).control_lease
     return ControlInfo(holder=lease.holder, expires_in_s=lease.expires_in_s)
 
 
 @router.post(
     "",
-    dependencies=[needs(Role.OPERATOR)],
-    responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM}},
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
-async def take(request: Request, wanted: Annotated[ControlRequest, Body()]) -> ControlInfo:
+async def take(request: Request, body: Annotated[ControlRequest, Body()]) -> ControlInfo:
     """Take control, or keep it for longer. A start does the same; only this can take it over from somebody else."""
-    _check_needed(request)
-    take_control(request, over=wanted.take_over)
+    _require_user_name(request)
+    acquire_control(request, take_over=body.take_over)
     return await control(request)
 
 
 @router.delete(
     "",
-    dependencies=[needs(Role.OPERATOR)],
-    responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM}},
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
 async def give_back(request: Request) -> ControlInfo:
     """Give control back. Who does not have it changes nothing, unless somebody else does."""
-    name, station = _check_needed(request), _station(request)
-    if not station.give_back_control(name) and station.control.holder:
-        raise ProblemError(HTTPStatus.CONFLICT, f"{station.control.holder} has control, and only he can give it back.")
+    name, station = _require_user_name(request), _get_tool_service(request)
+    if not station.release_control(name) and station.control_lease.holder:
+        raise ProblemError(
+            HTTPStatus.CONFLICT, f"{station.control_lease.holder} has control, and only he can give it back."
+        )
     return await control(request)
 
 
-def _check_needed(request: Request) -> str:
+def _require_user_name(request: Request) -> str:
     """The name of whoever asks."""
-    who = who_asks(request)
+    who = get_user(request)
     if who is None or who.name is None:
-        raise ProblemError(HTTPStatus.CONFLICT, NO_NEED)
+        raise ProblemError(HTTPStatus.CONFLICT, NO_TOKENS_TEXT)
     return who.name
 
 
-def _station(request: Request) -> Station:
+def _get_tool_service(request: Request) -> ToolService:
     return request.app.state.station

@@ -4,46 +4,54 @@ from typing import Annotated, TypeVar
 
 from fastapi import APIRouter, Query, Request, Response
 
-from app.people.roles import needs
-from app.problems import PROBLEM
-from app.routes.paging import tell_page
-from app.routes.runs import station_of
-from app.store.questions import AlarmQuestion, AuditQuestion, FileQuestion, GraspQuestion, Question
-from app.store.store import Found
+from app.people.roles import require_role
+from app.problems import PROBLEM_RESPONSE
+from app.routes.paging import set_paging_headers
+from app.routes.runs import get_tool_service
+from app.store.questions import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery
+from app.store.store import Page
 from app.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Role
 
-router = APIRouter(prefix="/api", tags=["history"], responses={503: {"description": "No index", **PROBLEM}})
+router = APIRouter(prefix="/api", tags=["history"], responses={503: {"description": "No index", **PROBLEM_RESPONSE}})
 T = TypeVar("T")
 
 
-@router.get("/grasps", dependencies=[needs(Role.VIEWER)])
-async def grasps(request: Request, response: Response, asked: Annotated[GraspQuestion, Query()]) -> list[GraspEnded]:
+@router.get("/grasps", dependencies=[require_role(Role.VIEWER)])
+async def grasps(request: Request, response: Response, query: Annotated[GraspQuery, Query()]) -> list[GraspEnded]:
     """Grasps of all runs, newest first."""
-    found = await station_of(request).index.ask(station_of(request).index.store.grasps, asked)
-    return _page(request, response, asked, found)
+    found = await get_tool_service(request).index_writer.query(
+        get_tool_service(request).index_writer.store.find_grasps, query
+    )
+    return _return_page(request, response, query, found)
 
 
-@router.get("/alarms/history", dependencies=[needs(Role.VIEWER)])
-async def alarms(request: Request, response: Response, asked: Annotated[AlarmQuestion, Query()]) -> list[Alarm]:
+@router.get("/alarms/history", dependencies=[require_role(Role.VIEWER)])
+async def alarms(request: Request, response: Response, query: Annotated[AlarmQuery, Query()]) -> list[Alarm]:
     """Alarms that were on or are, each as it was last, newest first."""
-    found = await station_of(request).index.ask(station_of(request).index.store.alarms, asked)
-    return _page(request, response, asked, found)
+    found = await get_tool_service(request).index_writer.query(
+        get_tool_service(request).index_writer.store.find_alarms, query
+    )
+    return _return_page(request, response, query, found)
 
 
-@router.get("/audit", dependencies=[needs(Role.VIEWER)])
-async def audit(request: Request, response: Response, asked: Annotated[AuditQuestion, Query()]) -> list[JournalEntry]:
+@router.get("/audit", dependencies=[require_role(Role.VIEWER)])
+async def audit(request: Request, response: Response, query: Annotated[AuditQuery, Query()]) -> list[JournalEntry]:
     """Every line of the journal, newest first: what happened and who did it."""
-    found = await station_of(request).index.ask(station_of(request).index.store.audit, asked)
-    return _page(request, response, asked, found)
+    found = await get_tool_service(request).index_writer.query(
+        get_tool_service(request).index_writer.store.find_audit_entries, query
+    )
+    return _return_page(request, response, query, found)
 
 
-@router.get("/files", dependencies=[needs(Role.VIEWER)])
-async def files(request: Request, response: Response, asked: Annotated[FileQuestion, Query()]) -> list[FileRecord]:
+@router.get("/files", dependencies=[require_role(Role.VIEWER)])
+async def files(request: Request, response: Response, query: Annotated[FileQuery, Query()]) -> list[FileRecord]:
     """Recordings of runs, newest first, also deleted ones with who deleted them."""
-    found = await station_of(request).index.ask(station_of(request).index.store.files, asked)
-    return _page(request, response, asked, found)
+    found = await get_tool_service(request).index_writer.query(
+        get_tool_service(request).index_writer.store.find_files, query
+    )
+    return _return_page(request, response, query, found)
 
 
-def _page(request: Request, response: Response, asked: Question, found: Found[T]) -> list[T]:
-    tell_page(request, response, asked.limit, asked.offset, found.total)
-    return found.items
+def _return_page(request: Request, response: Response, query: PageQuery, page: Page[T]) -> list[T]:
+    set_paging_headers(request, response, query.limit, query.offset, page.total)
+    return page.items

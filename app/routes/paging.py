@@ -5,7 +5,7 @@ from urllib.parse import quote, urlencode
 from fastapi import Request, Response
 
 
-def tell_page(request: Request, response: Response, limit: int, offset: int, total: int) -> None:
+def set_paging_headers(request: Request, response: Response, limit: int, offset: int, total: int) -> None:
     """Set `X-Total-Count` and `Link`."""
     pages = {"first": 0, "last": max(total - 1, 0) // limit * limit}
     if offset > 0:
@@ -13,10 +13,10 @@ def tell_page(request: Request, response: Response, limit: int, offset: int, tot
     if offset + limit < total:
         pages["next"] = offset + limit
     response.headers["X-Total-Count"] = str(total)
-    response.headers["Link"] = ", ".join(f'<{_address(request, limit, at)}>; rel="{rel}"' for rel, at in pages.items())
+    response.headers["Link"] = ", ".join(f'<{_page_url(request, limit, at)}>; rel="{rel}"' for rel, at in pages.items())
 
 
-def _address(request: Request, limit: int, offset: int) -> str:
+def _page_url(request: Request, limit: int, offset: int) -> str:
     """Without scheme and host, which a proxy may have changed."""
     asked = [(name, value) for name, value in request.query_params.multi_items() if name not in ("limit", "offset")]
     return f"{quote(request.scope['path'])}?{urlencode([*asked, ('limit', limit), ('offset', offset)])}"

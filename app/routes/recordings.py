@@ -9,106 +9,106 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response, WebSocket
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 
-from app.audit.deeds import client_of
+from app.audit.deeds import describe_client
 from app.live import Viewer
-from app.people.roles import needs, signed_by
-from app.problems import PROBLEM, ProblemError
+from app.people.roles import require_requester_name, require_role
+from app.problems import PROBLEM_RESPONSE, ProblemError
 from app.recording_bin import RecordingBin
-from app.replay.films import Films
-from app.replay.player import Replay, refuse
-from app.replay.shelf import Shelf
-from app.report.reports import Reports
-from app.routes.paging import tell_page
+from app.replay.films import ReplayCacheStore
+from app.replay.player import ReplayConnection, close_with_error
+from app.replay.shelf import RecordingCatalog
+from app.report.reports import ReportCache
+from app.routes.paging import set_paging_headers
 from app.routes.studies import REPORT_POLICY
-from app.station import Station
-from app.store.questions import RecordingQuestion
-from app.wire import Person, RecordingInfo, Recordings, ReportProgress, Result, Role
+from app.station import ToolService
+from app.store.questions import RecordingQuery
+from app.wire import PersonName, RecordingInfo, Recordings, ReportProgress, Result, Role
 from config.errors import GraspwatchError, RecordingError, RefusedError
 
 router = APIRouter(prefix="/api/recordings", tags=["recordings"])
-WAITING = Path(__file__).parents[1] / "report" / "waiting.html"
-WAITING_POLICY = (
+WAITING_PAGE = Path(__file__).parents[1] / "report" / "waiting.html"
+WAITING_PAGE_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; img-src 'self'"
 )
 
 
-@router.get("", dependencies=[needs(Role.VIEWER)])
-async def recordings(request: Request, response: Response, asked: Annotated[RecordingQuestion, Query()]) -> Recordings:
+@router.get("", dependencies=[require_role(Role.VIEWER)])
+async def recordings(request: Request, response: Response, query: Annotated[RecordingQuery, Query()]) -> Recordings:
     """What can be replayed. Durations are null until the file has been read: ask again in a second."""
-    shelf: Shelf = request.app.state.shelf
-    listing = await shelf.listing()
-    found = [recording for recording in listing.recordings if _fits(recording, asked)]
-    limit = asked.limit or max(len(found), 1)
-    tell_page(request, response, limit, asked.offset, len(found))
-    return listing.model_copy(update={"recordings": found[asked.offset : asked.offset + limit]})
+    shelf: RecordingCatalog = request.app.state.shelf
+    listing = await shelf.list_recordings()
+    found = [recording for recording in listing.recordings if _matches(recording, query)]
+    limit = query.limit or max(len(found), 1)
+    set_paging_headers(request, response, limit, query.offset, len(found))
+    return listing.model_copy(update={"recordings": found[query.offset : query.offset + limit]})
 
 
-def _fits(recording: RecordingInfo, asked: RecordingQuestion) -> bool:
+def _matches(recording: RecordingInfo, query: RecordingQuery) -> bool:
     modified = datetime.fromisoformat(recording.modified_at)
     return (
-        (asked.q is None or asked.q.casefold() in recording.name.casefold())
-        and (asked.since is None or modified >= asked.since)
-        and (asked.until is None or modified < asked.until)
+        (query.q is None or query.q.casefold() in recording.name.casefold())
+        and (query.since is None or modified >= query.since)
+        and (query.until is None or modified < query.until)
     )
 
 
 @router.get(
     "/{name}/file",
-    dependencies=[needs(Role.VIEWER)],
+    dependencies=[require_role(Role.VIEWER)],
     response_class=FileResponse,
     responses={
         206: {"description": "The part that `Range` asked for"},
-        404: {"description": "No such recording", **PROBLEM},
+        404: {"description": "No such recording", **PROBLEM_RESPONSE},
         416: {"description": "There is no such part"},
     },
 )
 async def file(request: Request, name: str) -> FileResponse:
     """The recording as it is on the disk, or a part of it (`Range`, `If-Range`)."""
-    return FileResponse(await _path(request, name), media_type="application/octet-stream", filename=name)
+    return FileResponse(await _find_path(request, name), media_type="application/octet-stream", filename=name)
 
 
-async def _path(request: Request, name: str) -> Path:
-    shelf: Shelf = request.app.state.shelf
+async def _find_path(request: Request, name: str) -> Path:
+    shelf: RecordingCatalog = request.app.state.shelf
     try:
-        return await shelf.path(name)
+        return await shelf.find_path(name)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
 
 
 @router.delete(
     "/{name}",
-    dependencies=[needs(Role.ADMIN)],
+    dependencies=[require_role(Role.ADMIN)],
     status_code=HTTPStatus.NO_CONTENT,
     responses={
-        403: {"description": "Not an admin", **PROBLEM},
-        404: {"description": "No such recording", **PROBLEM},
-        409: {"description": "In use", **PROBLEM},
-        503: {"description": "It cannot be deleted, or not be written down", **PROBLEM},
+        403: {"description": "Not an admin", **PROBLEM_RESPONSE},
+        404: {"description": "No such recording", **PROBLEM_RESPONSE},
+        409: {"description": "In use", **PROBLEM_RESPONSE},
+        503: {"description": "It cannot be deleted, or not be written down", **PROBLEM_RESPONSE},
     },
 )
 async def delete(
     request: Request,
     name: str,
-    by: Annotated[Person | None, Query(description="Who deletes it; whoever is signed in may leave it out")] = None,
+    by: Annotated[PersonName | None, Query(description="Who deletes it; whoever is signed in may leave it out")] = None,
 ) -> None:
     """Delete a recording: only an admin may. It lies in the bin for a while, from where it can be restored; the journal
     and the index keep who did it."""
-    by = signed_by(request, by)
-    path = await _path(request, name)
-    _refuse_in_use(request, path)
+    by = require_requester_name(request, by)
+    path = await _find_path(request, name)
+    _check_not_in_use(request, path)
     bin_: RecordingBin = request.app.state.bin
     await bin_.delete(path, by)
 
 
-def _refuse_in_use(request: Request, path: Path) -> None:
-    station: Station = request.app.state.station
-    shelf: Shelf = request.app.state.shelf
-    films: Films = request.app.state.films
-    if Path(station.recorder.state.file or "").name == path.name:
+def _check_not_in_use(request: Request, path: Path) -> None:
+    station: ToolService = request.app.state.station
+    shelf: RecordingCatalog = request.app.state.shelf
+    films: ReplayCacheStore = request.app.state.films
+    if Path(station.recorder_link.state.file or "").name == path.name:
         why = "it is being recorded. Stop the run first."
     elif shelf.is_opened(path):
         why = "it was opened on the command line. End that service first."
-    elif films.watched(path):
+    elif films.is_watched(path):
         why = "somebody is watching it. Close its replay first."
     else:
         return
@@ -117,14 +117,14 @@ def _refuse_in_use(request: Request, path: Path) -> None:
 
 @router.get(
     "/{name}/report",
-    dependencies=[needs(Role.VIEWER)],
+    dependencies=[require_role(Role.VIEWER)],
     response_class=HTMLResponse,
     responses={
         200: {"description": "The page, self-contained"},
         202: {"description": "It is being made: how far it is, or a page that waits for it", "model": ReportProgress},
-        404: {"description": "No such recording", **PROBLEM},
-        422: {"description": "The recording cannot be read", **PROBLEM},
-        503: {"description": "Too many reports are being made", **PROBLEM},
+        404: {"description": "No such recording", **PROBLEM_RESPONSE},
+        422: {"description": "The recording cannot be read", **PROBLEM_RESPONSE},
+        503: {"description": "Too many reports are being made", **PROBLEM_RESPONSE},
     },
 )
 async def report(request: Request, name: str) -> Response:
@@ -132,12 +132,12 @@ async def report(request: Request, name: str) -> Response:
 
     Ask again until the answer is no more 202; a browser gets a page that does so.
     """
-    reports: Reports = request.app.state.reports
-    path = await _path(request, name)
-    station: Station = request.app.state.station
-    note = partial(station.journal.deed, "report", f"Make report of {name}", client=client_of(request))
+    reports: ReportCache = request.app.state.reports
+    path = await _find_path(request, name)
+    station: ToolService = request.app.state.station
+    note = partial(station.journal.write_request, "report", f"Make report of {name}", client=describe_client(request))
     try:
-        made = await reports.ask(path, partial(note, result=Result.DONE))
+        made = await reports.request_report(path, partial(note, result=Result.DONE))
     except RecordingError as error:
         note(result=Result.FAILED, reason=str(error))
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error)) from None
@@ -149,27 +149,27 @@ async def report(request: Request, name: str) -> Response:
         policy = {"Content-Security-Policy": REPORT_POLICY}
         return FileResponse(made, media_type="text/html", headers=fresh | policy)
     if "text/html" in request.headers.get("accept", ""):
-        policy = {"Content-Security-Policy": WAITING_POLICY}
-        return HTMLResponse(WAITING.read_text(encoding="utf-8"), HTTPStatus.ACCEPTED, fresh | policy)
+        policy = {"Content-Security-Policy": WAITING_PAGE_POLICY}
+        return HTMLResponse(WAITING_PAGE.read_text(encoding="utf-8"), HTTPStatus.ACCEPTED, fresh | policy)
     return JSONResponse(ReportProgress(done=made).model_dump(), HTTPStatus.ACCEPTED, fresh)
 
 
-@router.websocket("/{name}/replay", dependencies=[needs(Role.VIEWER)])
+@router.websocket("/{name}/replay", dependencies=[require_role(Role.VIEWER)])
 async def replay(socket: WebSocket, name: str) -> None:
     """The recording as it would have been seen live, with pause, seek and speed; see app/wire.py."""
-    station: Station = socket.app.state.station
-    films: Films = socket.app.state.films
-    shelf: Shelf = socket.app.state.shelf
+    station: ToolService = socket.app.state.station
+    films: ReplayCacheStore = socket.app.state.films
+    shelf: RecordingCatalog = socket.app.state.shelf
     server = station.plan.settings.server
     await socket.accept()
     try:
-        path = await shelf.path(name)
+        path = await shelf.find_path(name)
         if films.viewers >= server.max_viewers:
             await socket.close(1013, "too many viewers; try again later")
             return
-        with films.watching(path) as showing:
-            await Replay(station.plan, name, showing, socket).serve()
+        with films.open_entry(path) as showing:
+            await ReplayConnection(station.plan, name, showing, socket).serve()
     except GraspwatchError as error:
         viewer = Viewer(socket, server.chart_window_frames)
-        refuse(viewer, error)
+        close_with_error(viewer, error)
         await viewer.serve()

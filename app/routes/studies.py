@@ -7,107 +7,119 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Request
 from fastapi.responses import FileResponse
 
-from app.audit.deeds import note_deed
-from app.people.roles import needs, signed
-from app.problems import PROBLEM, ProblemError
-from app.study.desk import StudyDesk
+from app.audit.deeds import note_request
+from app.people.roles import requester_name, require_role
+from app.problems import PROBLEM_RESPONSE, ProblemError
+from app.study.desk import StudyRunner
 from app.wire import Role, StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
 from config.errors import ConfigurationError, RefusedError, ServiceError
-from config.load import choose
-from estimator.studies.catalogue import STUDIES, StudyEntry
-from estimator.studies.page import POLICY
+from config.load import require_known_name
+from estimator.studies.catalogue import STUDIES, StudyDefinition
+from estimator.studies.page import CONTENT_SECURITY_POLICY
 
 router = APIRouter(prefix="/api/studies", tags=["studies"])
-NOT_FOUND = {404: {"description": "No such study, or nothing to show yet", **PROBLEM}}
+STUDY_NOT_FOUND_RESPONSE = {404: {"description": "No such study, or nothing to show yet", **PROBLEM_RESPONSE}}
 
 # The sandbox makes the page a stranger to the dashboard, so that it could not stop a tool.
-REPORT_POLICY = f"{POLICY}; sandbox allow-scripts allow-downloads"
+REPORT_POLICY = f"{CONTENT_SECURITY_POLICY}; sandbox allow-scripts allow-downloads"
 
 
-def desk_of(request: Request) -> StudyDesk:
+def get_study_runner(request: Request) -> StudyRunner:
     return request.app.state.studies
 
 
-@router.get("", dependencies=[needs(Role.VIEWER)])
+@router.get("", dependencies=[require_role(Role.VIEWER)])
 async def list_studies(request: Request) -> Studies:
     """What can be studied, and what has been, newest first."""
-    desk = desk_of(request)
+    desk = get_study_runner(request)
     available = [
-        StudyInfo(name=entry.name, title=entry.title, grasps=entry.usual, most_grasps=entry.most)
+        StudyInfo(name=entry.name, title=entry.title, grasps=entry.default_count, most_grasps=entry.max_count)
         for entry in STUDIES.values()
     ]
-    return Studies(folder=str(desk.folder), available=available, runs=desk.all())
+    return Studies(folder=str(desk.folder), available=available, runs=desk.list_runs())
 
 
 @router.post(
     "",
-    dependencies=[needs(Role.OPERATOR)],
+    dependencies=[require_role(Role.OPERATOR)],
     status_code=HTTPStatus.CREATED,
     responses={
-        409: {"description": "A study is under way", **PROBLEM},
-        422: {"description": "A field is at fault", **PROBLEM},
-        503: {"description": "The folder of studies cannot be written", **PROBLEM},
+        409: {"description": "A study is under way", **PROBLEM_RESPONSE},
+        422: {"description": "A field is at fault", **PROBLEM_RESPONSE},
+        503: {"description": "The folder of studies cannot be written", **PROBLEM_RESPONSE},
     },
 )
-async def start_study(request: Request, wanted: Annotated[StudyRequest, Body()]) -> StudyRun:
+async def start_study(request: Request, body: Annotated[StudyRequest, Body()]) -> StudyRun:
     """Start a study. It leaves one core to a live tool, and gives way to it on the others."""
-    note_deed(request, what=f"Start study {wanted.study}, seed {wanted.seed}")
-    entry = _entry(wanted.study)
-    grasps = wanted.grasps or entry.usual
-    if grasps > entry.most:
-        detail = f"The study {entry.name} takes at most {entry.most}."
+    note_request(request, description=f"Start study {body.study}, seed {body.seed}")
+    entry = _find_study(body.study)
+    grasps = body.grasps or entry.default_count
+    if grasps > entry.max_count:
+        detail = f"The study {entry.name} takes at most {entry.max_count}."
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "grasps")
     try:
-        return desk_of(request).start(entry, grasps, wanted.seed, signed(request, wanted.by))
+        return get_study_runner(request).start(entry, grasps, body.seed, requester_name(request, body.by))
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
 
-def _entry(name: str) -> StudyEntry:
+def _find_study(name: str) -> StudyDefinition:
     try:
-        return STUDIES[choose(name, list(STUDIES), "study")]
+        return STUDIES[require_known_name(name, list(STUDIES), "study")]
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "study") from None
 
 
-@router.get("/{study_id}", dependencies=[needs(Role.VIEWER)], responses=NOT_FOUND)
+@router.get("/{study_id}", dependencies=[require_role(Role.VIEWER)], responses=STUDY_NOT_FOUND_RESPONSE)
 async def get_study(request: Request, study_id: str) -> StudyRun:
     """One study, with how far it is."""
-    run = desk_of(request).get(study_id)
+    run = get_study_runner(request).get(study_id)
     if run is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no study {study_id!r}. GET /api/studies lists them.")
     return run
 
 
-@router.post("/{study_id}/stop", dependencies=[needs(Role.OPERATOR)], responses=NOT_FOUND)
-async def stop_study(request: Request, study_id: str, wanted: StopRequest | None = None) -> StudyRun:
+@router.post("/{study_id}/stop", dependencies=[require_role(Role.OPERATOR)], responses=STUDY_NOT_FOUND_RESPONSE)
+async def stop_study(request: Request, study_id: str, body: StopRequest | None = None) -> StudyRun:
     """Stop this study. Stopping one that is over changes nothing."""
     run = await get_study(request, study_id)
-    return await desk_of(request).stop(run.id, "asked to stop", signed(request, wanted.by if wanted else None))
+    return await get_study_runner(request).stop(
+        run.id, "asked to stop", requester_name(request, body.by if body else None)
+    )
 
 
-@router.get("/{study_id}/report", dependencies=[needs(Role.VIEWER)], response_class=FileResponse, responses=NOT_FOUND)
+@router.get(
+    "/{study_id}/report",
+    dependencies=[require_role(Role.VIEWER)],
+    response_class=FileResponse,
+    responses=STUDY_NOT_FOUND_RESPONSE,
+)
 async def report(request: Request, study_id: str) -> FileResponse:
     """Its page, self-contained."""
-    path = await _result(request, study_id, "html")
+    path = await _find_result_file(request, study_id, "html")
     return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
 
-@router.get("/{study_id}/figures", dependencies=[needs(Role.VIEWER)], response_class=FileResponse, responses=NOT_FOUND)
+@router.get(
+    "/{study_id}/figures",
+    dependencies=[require_role(Role.VIEWER)],
+    response_class=FileResponse,
+    responses=STUDY_NOT_FOUND_RESPONSE,
+)
 async def figures(request: Request, study_id: str) -> FileResponse:
     """Every figure and table of its page as JSON."""
-    return FileResponse(await _result(request, study_id, "json"), media_type="application/json")
+    return FileResponse(await _find_result_file(request, study_id, "json"), media_type="application/json")
 
 
-async def _result(request: Request, study_id: str, ending: str) -> Path:
+async def _find_result_file(request: Request, study_id: str, ending: str) -> Path:
     run = await get_study(request, study_id)
-    path = desk_of(request).file(run, ending)
+    path = get_study_runner(request).result_path(run, ending)
     if run.report is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, f"Study {run.id} is {run.state.value}: it has no report.")
     if not path.is_file():
         raise ProblemError(
-            HTTPStatus.NOT_FOUND, f"The report of study {run.id} is gone from {desk_of(request).folder}."
+            HTTPStatus.NOT_FOUND, f"The report of study {run.id} is gone from {get_study_runner(request).folder}."
         )
     return path

@@ -8,32 +8,43 @@ from importlib.metadata import version
 from fastapi import APIRouter, Request
 
 from app import __version__
-from app.describe import constant_infos, force_scale_info
+from app.describe import build_constant_infos, build_force_scale_info
 from app.disk import free_bytes
-from app.people.roles import needs
-from app.routes.runs import station_of
+from app.people.roles import require_role
+from app.routes.runs import get_tool_service
 from app.wire import Role, System
 
 router = APIRouter(prefix="/api", tags=["system"])
-PACKAGES = ("fastapi", "uvicorn", "websockets", "numpy", "scipy", "numba", "pydantic", "nidaqmx", "pyzmq", "plotly")
+VERSIONED_PACKAGES = (
+    "fastapi",
+    "uvicorn",
+    "websockets",
+    "numpy",
+    "scipy",
+    "numba",
+    "pydantic",
+    "nidaqmx",
+    "pyzmq",
+    "plotly",
+)
 
 
-@router.get("/system", dependencies=[needs(Role.VIEWER)])
+@router.get("/system", dependencies=[require_role(Role.VIEWER)])
 async def system(request: Request) -> System:
     """Versions, machine, workers, and the configuration in use (read-only)."""
-    station = station_of(request)
+    station = get_tool_service(request)
     plan = station.plan
     return System(
         versions={"graspwatch": __version__, "python": platform.python_version()}
-        | {package: version(package) for package in PACKAGES},
+        | {package: version(package) for package in VERSIONED_PACKAGES},
         machine=f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
         started_at=station.started_at,
-        workers=station.conditions(),
+        workers=station.worker_conditions(),
         realtime=station.realtime,
-        data_folder=str(plan.data),
-        free_disk_bytes=free_bytes(plan.data),
+        data_folder=str(plan.data_folder),
+        free_disk_bytes=free_bytes(plan.data_folder),
         tool=plan.tool.model_dump(mode="json"),
-        constants=constant_infos(plan.tool, date.today()),
-        force_scale=force_scale_info(plan.tool),
+        constants=build_constant_infos(plan.tool, date.today()),
+        force_scale=build_force_scale_info(plan.tool),
         settings=plan.settings.model_dump(mode="json"),
     )

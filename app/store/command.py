@@ -11,18 +11,18 @@ from rich.table import Table
 from sqlalchemy import URL
 from sqlalchemy.exc import DBAPIError
 
-from app.audit.local import local_deed
-from app.store.faults import REBUILD
-from app.store.rebuild import READERS, rebuild
-from app.store.status import Status, status
+from app.audit.local import journal_local_command
+from app.store.faults import REBUILD_COMMAND
+from app.store.rebuild import RECORDING_READERS, rebuild
+from app.store.status import IndexStatus, read_status
 from app.store.store import Store
 from app.wire import JournalEntry
 from config.errors import GraspwatchError
 
 
-def show(url: URL, data: Path, as_json: bool) -> None:
+def print_status(url: URL, data: Path, as_json: bool) -> None:
     """Print where it is, how much is in it, and what it lacks."""
-    found = status(url, data, READERS)
+    found = read_status(url, data, RECORDING_READERS)
     if as_json:
         print(json.dumps(asdict(found), indent=2))
         return
@@ -30,12 +30,12 @@ def show(url: URL, data: Path, as_json: bool) -> None:
     table.add_row("where", found.where)
     for name, count in found.counts.items():
         table.add_row(name, str(count))
-    table.add_row("revision", _revision(found))
-    table.add_row("lacks", "\n".join([*found.behind, f"Run `{REBUILD}`."]) if found.behind else "nothing")
+    table.add_row("revision", _format_revision(found))
+    table.add_row("lacks", "\n".join([*found.behind, f"Run `{REBUILD_COMMAND}`."]) if found.behind else "nothing")
     Console().print(table)
 
 
-def _revision(found: Status) -> str:
+def _format_revision(found: IndexStatus) -> str:
     if found.revision is None:
         return "none"
     current = found.revision == found.newest_revision
@@ -46,7 +46,7 @@ def _revision(found: Status) -> str:
     )
 
 
-def build_anew(url: URL, data: Path, errors: Console, progress: Callable[[float], None]) -> None:
+def rebuild_and_report(url: URL, data: Path, error_console: Console, progress: Callable[[float], None]) -> None:
     """Rebuild, and print what was found.
 
     Raises:
@@ -54,15 +54,15 @@ def build_anew(url: URL, data: Path, errors: Console, progress: Callable[[float]
     """
     lines: list[JournalEntry] = []
     try:
-        with local_deed(data, "index", "Rebuild the index", lines.append):
-            rebuilt = rebuild(url, data, READERS, progress)
+        with journal_local_command(data, "index", "Rebuild the index", lines.append):
+            rebuilt = rebuild(url, data, RECORDING_READERS, progress)
     finally:
         with contextlib.suppress(GraspwatchError, DBAPIError), contextlib.closing(Store(url)) as store:
-            store.take_all((line, None) for line in lines)  # else the next service takes them
+            store.ingest_all((line, None) for line in lines)  # else the next service takes them
     for problem in rebuilt.problems:
-        errors.print(f"Left out in part: {problem}", markup=False, soft_wrap=True)
+        error_console.print(f"Left out in part: {problem}", markup=False, soft_wrap=True)
     if rebuilt.broken_lines:
-        errors.print(f"The journal has {rebuilt.broken_lines} broken lines; they were left out.", soft_wrap=True)
-    if rebuilt.set_aside:
-        errors.print(f"The old index is set aside: {rebuilt.set_aside}", markup=False, soft_wrap=True)
+        error_console.print(f"The journal has {rebuilt.broken_lines} broken lines; they were left out.", soft_wrap=True)
+    if rebuilt.backup_path:
+        error_console.print(f"The old index is set aside: {rebuilt.backup_path}", markup=False, soft_wrap=True)
     print(f"Index rebuilt from {rebuilt.recordings} recordings and {rebuilt.lines} lines of the journal.")

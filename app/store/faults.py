@@ -7,8 +7,8 @@ from sqlalchemy.exc import DBAPIError
 
 from config.errors import ServiceError
 
-REBUILD = "graspwatch index --rebuild"
-LOST_RACES = ("40001", "40P01")  # PostgreSQL: somebody else wrote the same row meanwhile; try again
+REBUILD_COMMAND = "graspwatch index --rebuild"
+WRITE_CONFLICT_CODES = ("40001", "40P01")  # PostgreSQL: somebody else wrote the same row meanwhile; try again
 SQLITE_CAUSES = {
     sqlite3.SQLITE_READONLY: "the file or its folder is read-only: allow writing",
     sqlite3.SQLITE_CANTOPEN: "it cannot be opened: check that its folder is there and may be written to",
@@ -16,8 +16,8 @@ SQLITE_CAUSES = {
     sqlite3.SQLITE_IOERR: "the disk fails or is full: make room or mend it",
     sqlite3.SQLITE_PERM: "access is denied: allow writing",
     sqlite3.SQLITE_BUSY: "another program holds it: end that program",
-    sqlite3.SQLITE_CORRUPT: f"it is damaged: stop the service, then `{REBUILD}`, which sets it aside",
-    sqlite3.SQLITE_NOTADB: f"it is no database: stop the service, then `{REBUILD}`, which sets it aside",
+    sqlite3.SQLITE_CORRUPT: f"it is damaged: stop the service, then `{REBUILD_COMMAND}`, which sets it aside",
+    sqlite3.SQLITE_NOTADB: f"it is no database: stop the service, then `{REBUILD_COMMAND}`, which sets it aside",
 }
 POSTGRESQL_CAUSES = {
     "password authentication failed": "the password is wrong: put the right one into index_url or ~/.pgpass",
@@ -33,24 +33,24 @@ POSTGRESQL_CAUSES = {
 }
 
 
-def shown(url: URL) -> str:
+def display_url(url: URL) -> str:
     """A database's address for people, without its password."""
     if url.get_backend_name() == "sqlite":
         return str(url.database)
     return url.set(drivername="postgresql", query={}).render_as_string(hide_password=True)
 
 
-def explain(url: URL, error: DBAPIError) -> ServiceError:
+def to_service_error(url: URL, error: DBAPIError) -> ServiceError:
     """The error to tell."""
-    return ServiceError(f"The index {shown(url)} cannot be used: {cause(error)}.")
+    return ServiceError(f"The index {display_url(url)} cannot be used: {describe_cause(error)}.")
 
 
-def cause(error: DBAPIError) -> str:
+def describe_cause(error: DBAPIError) -> str:
     """What is wrong and what to do next."""
     original = error.orig
     if isinstance(original, sqlite3.Error):
         primary = getattr(original, "sqlite_errorcode", 0) & 0xFF  # the rest of the code is detail
-        return SQLITE_CAUSES.get(primary, f"{original}: mend it, or `{REBUILD}`")
+        return SQLITE_CAUSES.get(primary, f"{original}: mend it, or `{REBUILD_COMMAND}`")
     text = " ".join(str(original).split())
     for words, meaning in POSTGRESQL_CAUSES.items():
         if words in text and (words not in ("database", "role") or "does not exist" in text):
@@ -58,6 +58,6 @@ def cause(error: DBAPIError) -> str:
     return f"{text.rstrip('.')}: see to the server, or correct index_url"
 
 
-def lost_race(error: DBAPIError) -> bool:
+def is_write_conflict(error: DBAPIError) -> bool:
     """Whether another writer was quicker, so that trying again helps."""
-    return getattr(error.orig, "sqlstate", None) in LOST_RACES
+    return getattr(error.orig, "sqlstate", None) in WRITE_CONFLICT_CODES

@@ -7,18 +7,18 @@ from sqlalchemy import URL, Connection, MetaData, Table, inspect, select
 from sqlalchemy import func as sql
 
 from app.store import questions
-from app.store.database import engine_of, faults_explained, newest_revision, revision_of
-from app.store.faults import shown
-from app.store.questions import Place
-from app.store.rebuild import BEHIND_MARKER, Reader, read_lines, recordings_in
-from app.store.tables import Table as Ours
+from app.store.database import explain_database_errors, make_engine, newest_revision, read_revision
+from app.store.faults import display_url
+from app.store.questions import ChainPosition
+from app.store.rebuild import BEHIND_MARKER_FILE, RecordingReader, find_recordings, parse_journal_lines
+from app.store.tables import IndexTable as Ours
 from app.store.taking import line_key
 
-LAST_BYTES = 100_000  # of the journal: enough for its last line
+MAX_TAIL_BYTES = 100_000  # of the journal: enough for its last line
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class IndexStatus:
     """`counts` is empty where there is no index yet. `behind` says what it lacks; empty: nothing."""
 
     where: str
@@ -28,7 +28,7 @@ class Status:
     behind: list[str]
 
 
-def status(url: URL, data: Path, readers: tuple[Reader, ...]) -> Status:
+def read_status(url: URL, data: Path, readers: tuple[RecordingReader, ...]) -> IndexStatus:
     """Look at an index.
 
     Raises:
@@ -36,21 +36,21 @@ def status(url: URL, data: Path, readers: tuple[Reader, ...]) -> Status:
         ServiceError: it cannot be read.
     """
     if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # looking must not make one
-        return Status(shown(url), None, newest_revision(), {}, ["everything: there is no index yet"])
-    engine = engine_of(url)
+        return IndexStatus(display_url(url), None, newest_revision(), {}, ["everything: there is no index yet"])
+    engine = make_engine(url)
     try:
-        with faults_explained(url), engine.connect() as connection:
-            revision = revision_of(connection)
+        with explain_database_errors(url), engine.connect() as connection:
+            revision = read_revision(connection)
             there = set(inspect(connection).get_table_names()) & set(Ours.metadata.tables) if revision else set()
             tables = {name: Table(name, MetaData(), autoload_with=connection) for name in sorted(there)}
             counts = {name: connection.scalar(select(sql.count()).select_from(table)) for name, table in tables.items()}
-            behind = _behind(connection, tables, data, readers) if tables else ["everything: it is empty"]
+            behind = _find_missing(connection, tables, data, readers) if tables else ["everything: it is empty"]
     finally:
         engine.dispose()
-    return Status(shown(url), revision, newest_revision(), counts, behind)
+    return IndexStatus(display_url(url), revision, newest_revision(), counts, behind)
 
 
-def chained(url: URL) -> list[Place]:
+def read_chain_positions(url: URL) -> list[ChainPosition]:
     """What the index knows of the journal's chain; nothing where there is no index yet.
 
     Raises:
@@ -59,18 +59,20 @@ def chained(url: URL) -> list[Place]:
     """
     if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # looking must not make one
         return []
-    engine = engine_of(url)
+    engine = make_engine(url)
     try:
-        with faults_explained(url), engine.connect() as connection:
-            return questions.chained(connection) if inspect(connection).has_table("audit") else []
+        with explain_database_errors(url), engine.connect() as connection:
+            return questions.fetch_chain_positions(connection) if inspect(connection).has_table("audit") else []
     finally:
         engine.dispose()
 
 
-def _behind(connection: Connection, tables: dict[str, Table], data: Path, readers: tuple[Reader, ...]) -> list[str]:
-    found = ["what there was no room for while it could not be written"] if (data / BEHIND_MARKER).exists() else []
+def _find_missing(
+    connection: Connection, tables: dict[str, Table], data: Path, readers: tuple[RecordingReader, ...]
+) -> list[str]:
+    found = ["what there was no room for while it could not be written"] if (data / BEHIND_MARKER_FILE).exists() else []
     names = set(connection.scalars(select(tables["files"].c.name)))
-    missing = [path.name for path in recordings_in(data, readers) if path.name not in names]
+    missing = [path.name for path in find_recordings(data, readers) if path.name not in names]
     if missing:
         found.append(f"{len(missing)} of the recordings, such as {missing[0]}")
     key = _last_line_key(data / "journal.jsonl")
@@ -83,8 +85,8 @@ def _behind(connection: Connection, tables: dict[str, Table], data: Path, reader
 def _last_line_key(path: Path) -> str | None:
     try:
         with path.open("rb") as file:
-            file.seek(max(path.stat().st_size - LAST_BYTES, 0))
-            entries = [entry for entry in read_lines(file) if entry]
+            file.seek(max(path.stat().st_size - MAX_TAIL_BYTES, 0))
+            entries = [entry for entry in parse_journal_lines(file) if entry]
     except OSError:
         return None
     return line_key(entries[-1]) if entries else None

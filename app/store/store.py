@@ -10,20 +10,20 @@ from sqlalchemy.exc import DBAPIError, IntegrityError
 from sqlalchemy.orm import Session
 
 from app.store import questions
-from app.store.claim import Claim
-from app.store.database import bring_up_to_date, engine_of, faults_explained, writing
-from app.store.faults import lost_race
-from app.store.questions import AlarmQuestion, AuditQuestion, FileQuestion, GraspQuestion, Question, RunQuestion
-from app.store.tables import AuditRow, FileRow, GraspRow, RunRow, Table
-from app.store.taking import Indexed, line_key, take
+from app.store.claim import IndexLock
+from app.store.database import explain_database_errors, make_engine, make_writing_engine, migrate
+from app.store.faults import is_write_conflict
+from app.store.questions import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery, RunQuery
+from app.store.tables import AuditRow, FileRow, GraspRow, IndexTable, RunRow
+from app.store.taking import IndexedMessage, ingest, line_key
 from app.wire import Alarm, FileRecord, Grasp, GraspEnded, JournalEntry, Run, RunState
 
-TRIES = 5  # against another writer who is quicker
+MAX_TRIES = 5  # against another writer who is quicker
 M = TypeVar("M")
 
 
 @dataclass(frozen=True, slots=True)
-class Found(Generic[M]):
+class Page(Generic[M]):
     """One page, and how many there are on all."""
 
     items: list[M]
@@ -38,133 +38,133 @@ class Store:
         ServiceError: it cannot be opened; the text says why and what to do next.
     """
 
-    def __init__(self, url: URL, *, alone: bool = False) -> None:
+    def __init__(self, url: URL, *, exclusive: bool = False) -> None:
         self.url = url
-        self._engine = engine_of(url)
-        self._claim = Claim(self._engine, alone=alone)
+        self._engine = make_engine(url)
+        self._index_lock = IndexLock(self._engine, exclusive=exclusive)
         try:
-            bring_up_to_date(self._engine)
-            if not alone:
-                self._claim.share()
+            migrate(self._engine)
+            if not exclusive:
+                self._index_lock.downgrade_to_shared()
         except BaseException:
             self.close()
             raise
 
     @property
-    def first(self) -> bool:
+    def is_first_user(self) -> bool:
         """Whether no other service used it when this one came."""
-        return self._claim.first
+        return self._index_lock.is_first_user
 
     def close(self) -> None:
-        self._claim.close()
+        self._index_lock.close()
         self._engine.dispose()
 
     # --- take --------------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def writing(self) -> Iterator[Session]:
+    def write_transaction(self) -> Iterator[Session]:
         """A transaction: all of it is written, or nothing."""
-        with Session(writing(self._engine)) as session, session.begin():
+        with Session(make_writing_engine(self._engine)) as session, session.begin():
             yield session
 
-    def take(self, message: Indexed, run_id: str | None = None) -> None:
+    def ingest(self, message: IndexedMessage, run_id: str | None = None) -> None:
         """Put a wire message into the index; the same twice changes nothing. `run_id`: of a grasp that says none.
 
         Raises:
             DBAPIError: it could not be written.
         """
-        self.take_all([(message, run_id)])
+        self.ingest_all([(message, run_id)])
 
-    def take_all(self, messages: Iterable[tuple[Indexed, str | None]]) -> None:
+    def ingest_all(self, messages: Iterable[tuple[IndexedMessage, str | None]]) -> None:
         """The same for many at once: all or none."""
         messages = list(messages)
-        for left in reversed(range(TRIES)):
+        for left in reversed(range(MAX_TRIES)):
             try:
-                with self.writing() as session:
+                with self.write_transaction() as session:
                     for message, run_id in messages:
-                        take(session, message, run_id)
+                        ingest(session, message, run_id)
                 return
             except DBAPIError as error:
-                if not left or not (lost_race(error) or isinstance(error, IntegrityError)):
+                if not left or not (is_write_conflict(error) or isinstance(error, IntegrityError)):
                     raise
 
-    def take_new_lines(self, entries: list[JournalEntry]) -> None:
+    def ingest_new_lines(self, entries: list[JournalEntry]) -> None:
         """Those lines of the journal that are not there yet."""
         keys = {line_key(entry): entry for entry in entries}
         with Session(self._engine) as session:
             known = set(session.scalars(select(AuditRow.key).where(AuditRow.key.in_(keys))))
-        self.take_all((entry, None) for key, entry in keys.items() if key not in known)
+        self.ingest_all((entry, None) for key, entry in keys.items() if key not in known)
 
     # --- ask ---------------------------------------------------------------------------------------------------------
 
-    def runs(self, asked: RunQuestion) -> Found[Run]:
-        rows, total = self._page(questions.runs(asked), asked)
-        return Found([_run(row) for row in rows], total)
+    def find_runs(self, query: RunQuery) -> Page[Run]:
+        rows, total = self._fetch_page(questions.select_runs(query), query)
+        return Page([_to_run(row) for row in rows], total)
 
-    def run(self, run_id: str) -> Run | None:
-        row = self._one(RunRow, run_id)
-        return _run(row) if row and row.message is not None else None
+    def get_run(self, run_id: str) -> Run | None:
+        row = self._get_row(RunRow, run_id)
+        return _to_run(row) if row and row.message is not None else None
 
-    def cut_short(self) -> list[Run]:
+    def find_unfinished_runs(self) -> list[Run]:
         """Runs that are said to be under way."""
-        with faults_explained(self.url), Session(self._engine) as session:
+        with explain_database_errors(self.url), Session(self._engine) as session:
             query = select(RunRow).where(RunRow.state == RunState.RUNNING.value).order_by(RunRow.started_ms)
-            return [_run(row) for row in session.scalars(query)]
+            return [_to_run(row) for row in session.scalars(query)]
 
-    def grasps(self, asked: GraspQuestion) -> Found[GraspEnded]:
-        rows, total = self._page(questions.grasps(asked), asked)
-        return Found([GraspEnded.model_validate(row.message) for row in rows], total)
+    def find_grasps(self, query: GraspQuery) -> Page[GraspEnded]:
+        rows, total = self._fetch_page(questions.select_grasps(query), query)
+        return Page([GraspEnded.model_validate(row.message) for row in rows], total)
 
-    def grasps_of(self, run_id: str) -> list[Grasp]:
+    def list_run_grasps(self, run_id: str) -> list[Grasp]:
         """All of a run, in order."""
-        with faults_explained(self.url), Session(self._engine) as session:
+        with explain_database_errors(self.url), Session(self._engine) as session:
             rows = session.scalars(select(GraspRow).where(GraspRow.run_id == run_id).order_by(GraspRow.index))
             return [GraspEnded.model_validate(row.message).grasp for row in rows]
 
-    def alarms(self, asked: AlarmQuestion) -> Found[Alarm]:
-        rows, total = self._page(questions.alarms(asked), asked)
-        return Found([Alarm.model_validate(row.message) for row in rows], total)
+    def find_alarms(self, query: AlarmQuery) -> Page[Alarm]:
+        rows, total = self._fetch_page(questions.select_alarms(query), query)
+        return Page([Alarm.model_validate(row.message) for row in rows], total)
 
-    def audit(self, asked: AuditQuestion) -> Found[JournalEntry]:
-        rows, total = self._page(questions.audit(asked), asked)
-        return Found([JournalEntry.model_validate(row.message) for row in rows], total)
+    def find_audit_entries(self, query: AuditQuery) -> Page[JournalEntry]:
+        rows, total = self._fetch_page(questions.select_audit_entries(query), query)
+        return Page([JournalEntry.model_validate(row.message) for row in rows], total)
 
-    def chained(self) -> list[questions.Place]:
+    def list_chain_positions(self) -> list[questions.ChainPosition]:
         """Every line that has its place in the journal's chain."""
-        with faults_explained(self.url), self._engine.connect() as connection:
-            return questions.chained(connection)
+        with explain_database_errors(self.url), self._engine.connect() as connection:
+            return questions.fetch_chain_positions(connection)
 
-    def files(self, asked: FileQuestion) -> Found[FileRecord]:
-        rows, total = self._page(questions.files(asked), asked)
-        return Found([FileRecord.model_validate(row.message) for row in rows], total)
+    def find_files(self, query: FileQuery) -> Page[FileRecord]:
+        rows, total = self._fetch_page(questions.select_files(query), query)
+        return Page([FileRecord.model_validate(row.message) for row in rows], total)
 
-    def file(self, name: str) -> FileRecord | None:
-        row = self._one(FileRow, name)
+    def get_file(self, name: str) -> FileRecord | None:
+        row = self._get_row(FileRow, name)
         return FileRecord.model_validate(row.message) if row else None
 
-    def file_names(self) -> set[str]:
-        with faults_explained(self.url), Session(self._engine) as session:
+    def list_file_names(self) -> set[str]:
+        with explain_database_errors(self.url), Session(self._engine) as session:
             return set(session.scalars(select(FileRow.name)))
 
-    def content(self) -> dict[str, list[dict[str, object]]]:
+    def dump(self) -> dict[str, list[dict[str, object]]]:
         """Everything, sorted: two indexes are equal if this is."""
-        with faults_explained(self.url), self._engine.connect() as connection:
+        with explain_database_errors(self.url), self._engine.connect() as connection:
             return {
                 name: [dict(row) for row in connection.execute(table.select().order_by(*table.primary_key)).mappings()]
-                for name, table in Table.metadata.tables.items()
+                for name, table in IndexTable.metadata.tables.items()
             }
 
-    def _one(self, table: type[RunRow] | type[FileRow], key: str) -> RunRow | FileRow | None:
+    def _get_row(self, table: type[RunRow] | type[FileRow], key: str) -> RunRow | FileRow | None:
         if "\0" in key:
             return None  # nothing is called so, and PostgreSQL does not even take the question
-        with faults_explained(self.url), Session(self._engine) as session:
+        with explain_database_errors(self.url), Session(self._engine) as session:
             return session.get(table, key)
 
-    def _page(self, query: Select, asked: Question) -> tuple[list, int]:
-        with faults_explained(self.url), Session(self._engine) as session:
-            total = session.scalar(select(func.count()).select_from(query.order_by(None).subquery()))
-            return list(session.scalars(query.limit(asked.limit).offset(asked.offset))), total or 0
+    def _fetch_page(self, statement: Select, query: PageQuery) -> tuple[list, int]:
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            total = session.scalar(select(func.count()).select_from(statement.order_by(None).subquery()))
+            return list(session.scalars(statement.limit(query.limit).offset(query.offset))), total or 0
 
 
-def _run(row: RunRow) -> Run:
+def _to_run(row: RunRow) -> Run:
     return Run.model_validate({**(row.message or {}), "grasps": row.grasps})

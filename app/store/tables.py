@@ -10,11 +10,11 @@ from sqlalchemy import JSON, BigInteger, Double, ForeignKey, Index, String
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 
-class Table(DeclarativeBase):
+class IndexTable(DeclarativeBase):
     type_annotation_map = {float: Double, dict[str, Any]: JSON(none_as_null=True), str: String}  # noqa: RUF012
 
 
-class RunRow(Table):
+class RunRow(IndexTable):
     __tablename__ = "runs"
     __table_args__ = (Index("runs_by_start", "started_ms", "id"),)
 
@@ -30,7 +30,7 @@ class RunRow(Table):
     message: Mapped[dict[str, Any] | None]
 
 
-class GraspRow(Table):
+class GraspRow(IndexTable):
     __tablename__ = "grasps"
     __table_args__ = (Index("grasps_by_label", "label", "valid"),)
 
@@ -44,7 +44,7 @@ class GraspRow(Table):
     message: Mapped[dict[str, Any]]
 
 
-class AlarmRow(Table):
+class AlarmRow(IndexTable):
     """`key`: its id and when it began, for ids begin anew with each service."""
 
     __tablename__ = "alarms"
@@ -61,7 +61,7 @@ class AlarmRow(Table):
     message: Mapped[dict[str, Any]]
 
 
-class AuditRow(Table):
+class AuditRow(IndexTable):
     """`key`: the line's digest; a line is never changed."""
 
     __tablename__ = "audit"
@@ -75,7 +75,7 @@ class AuditRow(Table):
     message: Mapped[dict[str, Any]]
 
 
-class FileRow(Table):
+class FileRow(IndexTable):
     """A recording; one that was deleted stays, with who did it and when. Its run may be unknown here."""
 
     __tablename__ = "files"

@@ -12,23 +12,23 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from config.load import load_library, load_protocol
-from estimator.studies.catalogue import MOST_GRASPS, STUDIES, StudyEntry
+from estimator.studies.catalogue import MAX_GRASPS, STUDIES, StudyDefinition
 
 if TYPE_CHECKING:
-    from estimator.studies.course import Bench
-    from estimator.studies.report import Study
+    from estimator.studies.course import StudyConditions
+    from estimator.studies.report import StudyResult
 
 app = typer.Typer(
     help="Measure how right, how early and how honest the estimator is. Each study writes a self-contained HTML page "
     "and a JSON of every figure, and uses all cores.",
     no_args_is_help=True,
 )
-errors = Console(stderr=True, highlight=False)
-SAYS_AFTER, SAYS_AFTER_S = 0.05, 1.0  # of the cases, and seconds, when there is no terminal for a bar
-FOLDER = Path("studies")
+error_console = Console(stderr=True, highlight=False)
+ESTIMATE_AFTER_SHARE, ESTIMATE_AFTER_S = 0.05, 1.0  # of the cases, and seconds, when there is no terminal for a bar
+DEFAULT_FOLDER = Path("studies")
 
 GraspsOption = Annotated[
-    int, typer.Option(min=1, max=MOST_GRASPS, help="Grasps of each tissue (and of each condition).")
+    int, typer.Option(min=1, max=MAX_GRASPS, help="Grasps of each tissue (and of each condition).")
 ]
 SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens, noise and guesses.")]
 NoiseOption = Annotated[
@@ -46,26 +46,26 @@ JobsOption = Annotated[int | None, typer.Option(min=1, help="Processes; default:
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the JSON instead of a table.")]
 
 
-def _with_seeds(study: StudyEntry) -> Callable[..., None]:
+def _make_seeds_command(study: StudyDefinition) -> Callable[..., None]:
     def command(
         seeds: Annotated[
-            int, typer.Option(min=1, max=study.most, help="Noises and wrong guesses of each tissue.")
-        ] = study.usual,
+            int, typer.Option(min=1, max=study.max_count, help="Noises and wrong guesses of each tissue.")
+        ] = study.default_count,
         seed: SeedOption = 0,
-        out: OutOption = FOLDER,
+        out: OutOption = DEFAULT_FOLDER,
         jobs: JobsOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        from estimator.studies.course import Bench  # takes a second
+        from estimator.studies.course import StudyConditions  # takes a second
 
-        _show(_run(study, Bench(), seeds, seed, jobs), out, as_json)
+        _print_study(_run_study(study, StudyConditions(), seeds, seed, jobs), out, as_json)
 
     return command
 
 
-def _with_thickness(study: StudyEntry) -> Callable[..., None]:
+def _make_thickness_command(study: StudyDefinition) -> Callable[..., None]:
     def command(
-        grasps: GraspsOption = study.usual,
+        grasps: GraspsOption = study.default_count,
         noise_mv: NoiseOption = 2.0,
         spread: SpreadOption = 1.0,
         protocol: ProtocolOption = "trapezoid_2hz",
@@ -73,71 +73,81 @@ def _with_thickness(study: StudyEntry) -> Callable[..., None]:
         touch: TouchOption = True,
         thickness: ThicknessOption = True,
         seed: SeedOption = 0,
-        out: OutOption = FOLDER,
+        out: OutOption = DEFAULT_FOLDER,
         jobs: JobsOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        bench = _bench(protocol, library, noise_mv, spread, touch, thickness)
-        _show(_run(study, bench, grasps, seed, jobs), out, as_json)
+        bench = _make_bench(protocol, library, noise_mv, spread, touch, thickness)
+        _print_study(_run_study(study, bench, grasps, seed, jobs), out, as_json)
 
     return command
 
 
-def _without_thickness(study: StudyEntry) -> Callable[..., None]:
+def _make_protocol_command(study: StudyDefinition) -> Callable[..., None]:
     def command(
-        grasps: GraspsOption = study.usual,
+        grasps: GraspsOption = study.default_count,
         noise_mv: NoiseOption = 2.0,
         spread: SpreadOption = 1.0,
         protocol: ProtocolOption = "trapezoid_2hz",
         library: LibraryOption = "porcine",
         touch: TouchOption = True,
         seed: SeedOption = 0,
-        out: OutOption = FOLDER,
+        out: OutOption = DEFAULT_FOLDER,
         jobs: JobsOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        _show(_run(study, _bench(protocol, library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json)
+        _print_study(
+            _run_study(study, _make_bench(protocol, library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json
+        )
 
     return command
 
 
-def _without_protocol(study: StudyEntry) -> Callable[..., None]:
+def _make_library_command(study: StudyDefinition) -> Callable[..., None]:
     def command(
-        grasps: GraspsOption = study.usual,
+        grasps: GraspsOption = study.default_count,
         noise_mv: NoiseOption = 2.0,
         spread: SpreadOption = 1.0,
         library: LibraryOption = "porcine",
         touch: TouchOption = True,
         seed: SeedOption = 0,
-        out: OutOption = FOLDER,
+        out: OutOption = DEFAULT_FOLDER,
         jobs: JobsOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        _show(_run(study, _bench("trapezoid_2hz", library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json)
+        _print_study(
+            _run_study(study, _make_bench("trapezoid_2hz", library, noise_mv, spread, touch), grasps, seed, jobs),
+            out,
+            as_json,
+        )
 
     return command
 
 
-def _command(study: StudyEntry) -> Callable[..., None]:
+def _make_command(study: StudyDefinition) -> Callable[..., None]:
     """The study as a command, with the options that mean something to it."""
-    if not study.on_bench:
-        return _with_seeds(study)
-    if not study.plays_protocol:
-        return _without_protocol(study)
-    return _with_thickness(study) if study.weighs_thickness else _without_thickness(study)
+    if not study.uses_conditions:
+        return _make_seeds_command(study)
+    if not study.uses_protocol:
+        return _make_library_command(study)
+    return _make_thickness_command(study) if study.uses_thickness else _make_protocol_command(study)
 
 
 for entry in STUDIES.values():
-    app.command(entry.name, help=entry.title)(_command(entry))
+    app.command(entry.name, help=entry.title)(_make_command(entry))
 
 
-def _run(study: StudyEntry, bench: "Bench", grasps: int, seed: int, jobs: int | None) -> "Study":
+def _run_study(
+    study: StudyDefinition, bench: "StudyConditions", grasps: int, seed: int, jobs: int | None
+) -> "StudyResult":
     """Carry out a study, and show how far it is."""
-    with _Progress(study.name) as progress:
-        return study.carry_out(bench, grasps, seed, progress, jobs)
+    with _ProgressDisplay(study.name) as progress:
+        return study.run(bench, grasps, seed, progress, jobs)
 
 
-def _bench(protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool = True) -> "Bench":
+def _make_bench(
+    protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool = True
+) -> "StudyConditions":
     """What the grasps have in common; a wrong name is told before anything starts.
 
     Raises:
@@ -145,22 +155,24 @@ def _bench(protocol: str, library: str, noise_mv: float, spread: float, touch: b
     """
     load_protocol(protocol)
     load_library(library)
-    from estimator.studies.course import Bench  # takes a second
+    from estimator.studies.course import StudyConditions  # takes a second
 
-    return Bench(protocol, library, noise_mv, spread, touch, thickness)
+    return StudyConditions(protocol, library, noise_mv, spread, touch, thickness)
 
 
-class _Progress:
+class _ProgressDisplay:
     """How far a study is: a bar with the time left; where there is no terminal, one line that tells it."""
 
     def __init__(self, title: str) -> None:
         columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
+        self._bar = Progress(*columns, console=error_console, transient=True, disable=not error_console.is_terminal)
         self._task = self._bar.add_task(title)
-        self._title, self._said = title, errors.is_terminal
-        self._first: tuple[float, int] | None = None  # when the first cases were done, and how many: after compiling
+        self._title, self._estimate_printed = title, error_console.is_terminal
+        self._first_progress: tuple[float, int] | None = (
+            None  # when the first cases were done, and how many: after compiling
+        )
 
-    def __enter__(self) -> "_Progress":
+    def __enter__(self) -> "_ProgressDisplay":
         self._bar.start()
         return self
 
@@ -170,18 +182,23 @@ class _Progress:
     def __call__(self, done: int, of: int) -> None:
         self._bar.update(self._task, completed=done, total=of)
         now_s = time.monotonic()
-        if done and self._first is None:
-            self._first = now_s, done
-        elif self._first and not self._said and done >= SAYS_AFTER * of and now_s - self._first[0] > SAYS_AFTER_S:
-            self._said = True
-            left_s = (now_s - self._first[0]) * (of - done) / (done - self._first[1])
-            errors.print(f"{self._title}: {done} of {of} cases done, about {left_s:.0f} s left.", soft_wrap=True)
+        if done and self._first_progress is None:
+            self._first_progress = now_s, done
+        elif (
+            self._first_progress
+            and not self._estimate_printed
+            and done >= ESTIMATE_AFTER_SHARE * of
+            and now_s - self._first_progress[0] > ESTIMATE_AFTER_S
+        ):
+            self._estimate_printed = True
+            left_s = (now_s - self._first_progress[0]) * (of - done) / (done - self._first_progress[1])
+            error_console.print(f"{self._title}: {done} of {of} cases done, about {left_s:.0f} s left.", soft_wrap=True)
 
 
-def _show(study: "Study", out: Path, as_json: bool) -> None:
+def _print_study(study: "StudyResult", out: Path, as_json: bool) -> None:
     page, data = study.write(out)
     if as_json:
-        print(json.dumps(study.document(), indent=2, allow_nan=False))
+        print(json.dumps(study.to_document(), indent=2, allow_nan=False))
         return
     table = Table("Figure", "Measured", "To reach", "", title=study.title)
     words = {True: "reached", False: "[bold red]not reached[/]", None: ""}

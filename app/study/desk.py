@@ -10,28 +10,28 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
-from app.aside import Tell, run_aside
+from app.aside import SendMessage, run_in_background_process
 from app.wire import StudyRun, StudyState
 from config.errors import RefusedError, ServiceError
-from estimator.studies.catalogue import STUDIES, StudyEntry
+from estimator.studies.catalogue import STUDIES, StudyDefinition
 
-RECORD = "study.json"
-SAYS_EVERY_S = 0.1
-ADVICE = "Start it again with fewer grasps."
-log = logging.getLogger("graspwatch")
+RECORD_FILE = "study.json"
+PROGRESS_PERIOD_S = 0.1
+RETRY_ADVICE = "Start it again with fewer grasps."
+logger = logging.getLogger("graspwatch")
 
 
-class StudyDesk:
+class StudyRunner:
     """Each study has a folder of its id, with its record, its page and its JSON. As a context it ends what runs."""
 
-    def __init__(self, folder: Path, tell: Callable[[str, str | None], None]) -> None:
+    def __init__(self, folder: Path, publish_event: Callable[[str, str | None], None]) -> None:
         """`tell(text, by)` hears what starts and ends; `by`: who asked for it."""
         self.folder = folder
-        self._tell = tell
+        self._publish_event = publish_event
         self._runs = _read_records(folder)
         self._task: asyncio.Task[None] | None = None
         self._current_id: str | None = None
-        self._asked_to_stop: tuple[str, str | None] | None = None  # why, by whom
+        self._stop_request: tuple[str, str | None] | None = None  # why, by whom
 
     async def __aenter__(self) -> Self:
         return self
@@ -40,18 +40,18 @@ class StudyDesk:
         if self._current_id:
             await self.stop(self._current_id, "the service was ended")
 
-    def all(self) -> list[StudyRun]:
+    def list_runs(self) -> list[StudyRun]:
         """Newest first."""
         return list(reversed(self._runs.values()))
 
     def get(self, study_id: str) -> StudyRun | None:
         return self._runs.get(study_id)
 
-    def file(self, run: StudyRun, ending: str) -> Path:
+    def result_path(self, run: StudyRun, ending: str) -> Path:
         """Where its page (`html`) or its figures (`json`) are once it has finished."""
         return self.folder / run.id / f"study-{run.study}.{ending}"
 
-    def start(self, entry: StudyEntry, grasps: int, seed: int, by: str | None) -> StudyRun:
+    def start(self, entry: StudyDefinition, grasps: int, seed: int, by: str | None) -> StudyRun:
         """Start a study.
 
         Raises:
@@ -61,31 +61,31 @@ class StudyDesk:
         if self._current_id:
             raise RefusedError(f"Study {self._current_id} is under way. Stop it first, or wait for its end.", "study")
         try:
-            run = self._begin(entry, grasps, seed, by)
+            run = self._create_run(entry, grasps, seed, by)
         except OSError as error:
             raise ServiceError(
                 f"A study cannot be started in {self.folder} ({error.strerror}). Make room there, then start it again."
             ) from None
-        self._runs[run.id], self._current_id, self._asked_to_stop = run, run.id, None
+        self._runs[run.id], self._current_id, self._stop_request = run, run.id, None
         wanted = entry.name, grasps, seed, self.folder / run.id
-        work = run_aside("study", carry_out, *wanted, told=self._on_progress, advice=ADVICE)
+        work = run_in_background_process("study", run_study, *wanted, on_message=self._on_progress, advice=RETRY_ADVICE)
         self._task = asyncio.create_task(work)
         self._task.add_done_callback(self._on_end)
-        self._tell(f"Study started: {entry.name}, {grasps} of each, seed {seed}", by)
+        self._publish_event(f"Study started: {entry.name}, {grasps} of each, seed {seed}", by)
         return run
 
     async def stop(self, study_id: str, why: str, by: str | None = None) -> StudyRun:
         """End a study and all its processes; one that is over stays as it is."""
         if study_id == self._current_id and self._task:
-            self._asked_to_stop = why, by
+            self._stop_request = why, by
             self._task.cancel()
             await asyncio.wait([self._task])
             await asyncio.sleep(0)  # for `_on_end`
         return self._runs[study_id]
 
-    def _begin(self, entry: StudyEntry, grasps: int, seed: int, by: str | None) -> StudyRun:
+    def _create_run(self, entry: StudyDefinition, grasps: int, seed: int, by: str | None) -> StudyRun:
         now = datetime.now(UTC)
-        study_id = self._new_folder(f"{now:%Y%m%d-%H%M%S}-{entry.name}")
+        study_id = self._make_folder(f"{now:%Y%m%d-%H%M%S}-{entry.name}")
         run = StudyRun(
             id=study_id,
             study=entry.name,
@@ -108,7 +108,7 @@ class StudyDesk:
             raise
         return run
 
-    def _new_folder(self, name: str) -> str:
+    def _make_folder(self, name: str) -> str:
         """Make a folder that was not there; a second study of the same second gets a number."""
         study_id, number = name, 1
         while True:
@@ -121,25 +121,27 @@ class StudyDesk:
 
     def _on_progress(self, progress: tuple[int, int]) -> None:
         done, of = progress
-        self._change(done=done, of=of)
+        self._update_run(done=done, of=of)
 
     def _on_end(self, task: asyncio.Task[None]) -> None:
         why, by, report = None, None, None
         if task.cancelled():
-            (why, by), state = self._asked_to_stop or ("the service was ended", None), StudyState.STOPPED
+            (why, by), state = self._stop_request or ("the service was ended", None), StudyState.STOPPED
         elif error := task.exception():
             why, state = str(error), StudyState.FAILED
         else:
             state, report = StudyState.FINISHED, f"/api/studies/{self._current_id}/report"
-        run = self._change(state=state, why=why, report=report, ended_at=datetime.now(UTC).isoformat())
+        run = self._update_run(state=state, why=why, report=report, ended_at=datetime.now(UTC).isoformat())
         self._task = self._current_id = None
         try:
             _write_record(self.folder, run)
         except OSError as error:
-            log.warning("The record of study %s cannot be written (%s): make room or mend it", run.id, error.strerror)
-        self._tell(f"Study {state.value}: {run.study}" + (f" ({why})" if why else ""), by)
+            logger.warning(
+                "The record of study %s cannot be written (%s): make room or mend it", run.id, error.strerror
+            )
+        self._publish_event(f"Study {state.value}: {run.study}" + (f" ({why})" if why else ""), by)
 
-    def _change(self, **fields: object) -> StudyRun:
+    def _update_run(self, **fields: object) -> StudyRun:
         assert self._current_id
         run = self._runs[self._current_id] = self._runs[self._current_id].model_copy(update=fields)
         return run
@@ -147,7 +149,7 @@ class StudyDesk:
 
 def _write_record(folder: Path, run: StudyRun) -> None:
     """Whole or not at all."""
-    path = folder / run.id / RECORD
+    path = folder / run.id / RECORD_FILE
     part = path.with_suffix(".part")
     part.write_text(run.model_dump_json(indent=2) + "\n", encoding="utf-8")
     os.replace(part, path)
@@ -160,19 +162,19 @@ def _read_records(folder: Path) -> dict[str, StudyRun]:
         if not path.is_dir():
             continue
         try:
-            run = StudyRun.model_validate_json((path / RECORD).read_text(encoding="utf-8"))
+            run = StudyRun.model_validate_json((path / RECORD_FILE).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             why = error.strerror if isinstance(error, OSError) else "it is damaged, or another version's"
-            log.warning("The study in %s is left out: its %s cannot be read (%s)", path, RECORD, why)
+            logger.warning("The study in %s is left out: its %s cannot be read (%s)", path, RECORD_FILE, why)
             continue
         if run.id != path.name:
-            log.warning("The study in %s is left out: by its %s it belongs into %r", path, RECORD, run.id)
+            logger.warning("The study in %s is left out: by its %s it belongs into %r", path, RECORD_FILE, run.id)
             continue
-        runs.append(_as_left(run))
+        runs.append(_mark_interrupted(run))
     return {run.id: run for run in sorted(runs, key=lambda run: run.started_at)}
 
 
-def _as_left(run: StudyRun) -> StudyRun:
+def _mark_interrupted(run: StudyRun) -> StudyRun:
     if run.state is not StudyState.RUNNING:
         return run
     why = "The service died while it was under way. Start it again."
@@ -182,27 +184,27 @@ def _as_left(run: StudyRun) -> StudyRun:
 # --- in the process -----------------------------------------------------------------------------------------------
 
 
-def carry_out(tell: Tell, study: str, grasps: int, seed: int, folder: Path) -> None:
+def run_study(send: SendMessage, study: str, grasps: int, seed: int, folder: Path) -> None:
     """Carry out a study on all cores but one, and write its page and its JSON into `folder`; tells (done, of).
 
     Raises:
         GraspwatchError: it failed.
         OSError: the folder cannot be written.
     """
-    from estimator.studies.course import Bench  # takes a second
+    from estimator.studies.course import StudyConditions  # takes a second
 
     jobs = max((os.cpu_count() or 1) - 1, 1)
-    STUDIES[study].carry_out(Bench(), grasps, seed, _Progress(tell), jobs).write(folder)
+    STUDIES[study].run(StudyConditions(), grasps, seed, _ProgressSender(send), jobs).write(folder)
 
 
-class _Progress:
+class _ProgressSender:
     """Tells the service, ten times a second at most, so that cases are not slowed down by it."""
 
-    def __init__(self, tell: Tell) -> None:
-        self._tell = tell
+    def __init__(self, send: SendMessage) -> None:
+        self._send = send
         self._due_s = 0.0
 
     def __call__(self, done: int, of: int) -> None:
         if done in (0, of) or time.monotonic() >= self._due_s:
-            self._due_s = time.monotonic() + SAYS_EVERY_S
-            self._tell((done, of))
+            self._due_s = time.monotonic() + PROGRESS_PERIOD_S
+            self._send((done, of))

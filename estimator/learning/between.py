@@ -21,7 +21,7 @@ from estimator.learning.constants import (
     TISSUE_SCALE,
 )
 
-SAME_RAMP_LOG = 0.2  # ramps that differ by less are one
+SAME_RAMP_TOLERANCE_LOG = 0.2  # ramps that differ by less are one
 
 
 def between_covariance() -> np.ndarray:
@@ -33,35 +33,38 @@ def between_covariance() -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordingCenters:
     """Recordings that were learned from: R of them, T tissues."""
 
-    tissue: np.ndarray  # (R,) index of the tissue
-    ramp_log: np.ndarray  # (R,)
-    centre: np.ndarray  # (R, F)
+    tissue_indices: np.ndarray  # (R,) index of the tissue
+    log_ramps: np.ndarray  # (R,)
+    centers: np.ndarray  # (R, F)
     session_scale: float
 
-    def predict(self, tissue: int, ramp_log: float) -> tuple[np.ndarray, float]:
+    def predict_center(self, tissue: int, ramp_log: float) -> tuple[np.ndarray, float]:
         """Centre (F,) of a new recording of a tissue at a ramp, and its variance in units of `between_covariance`."""
-        same, near = np.equal.outer(self.tissue, self.tissue), _alike(self.ramp_log, self.ramp_log)
+        same, near = (
+            np.equal.outer(self.tissue_indices, self.tissue_indices),
+            _compute_ramp_kernel(self.log_ramps, self.log_ramps),
+        )
         among = RATE_SCALE**2 * near + same * (TISSUE_SCALE**2 + RATE_TISSUE_SCALE**2 * near)
         np.fill_diagonal(among, among.diagonal() + self.session_scale**2)
-        near_new = _alike(self.ramp_log, np.array([ramp_log]))[:, 0]
-        own = self.tissue == tissue
+        near_new = _compute_ramp_kernel(self.log_ramps, np.array([ramp_log]))[:, 0]
+        own = self.tissue_indices == tissue
         to_new = RATE_SCALE**2 * near_new + own * (TISSUE_SCALE**2 + RATE_TISSUE_SCALE**2 * near_new)
         information = np.linalg.inv(among)
-        level = (information @ self.centre).sum(axis=0) / information.sum()
+        level = (information @ self.centers).sum(axis=0) / information.sum()
         weight = to_new @ information
         variance = RATE_SCALE**2 + RATE_TISSUE_SCALE**2 + TISSUE_SCALE**2 - weight @ to_new
         variance += (1.0 - weight.sum()) ** 2 / information.sum() + self.session_scale**2
-        return level + weight @ (self.centre - level), float(variance)
+        return level + weight @ (self.centers - level), float(variance)
 
 
-def _alike(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _compute_ramp_kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * (np.subtract.outer(a, b) / RATE_LENGTH_LOG) ** 2)
 
 
-def session_scale(tissue: np.ndarray, ramp_log: np.ndarray, centre: np.ndarray) -> float:
+def estimate_session_scale(tissue: np.ndarray, ramp_log: np.ndarray, centre: np.ndarray) -> float:
     """Scale of the deviation from recording to recording: the prior's, moved by recordings that repeat each other."""
     information = np.linalg.inv(between_covariance())
     weight, total = SESSION_SCALE_WEIGHT, SESSION_SCALE_WEIGHT * SESSION_SCALE**2
@@ -69,7 +72,7 @@ def session_scale(tissue: np.ndarray, ramp_log: np.ndarray, centre: np.ndarray) 
         own = np.flatnonzero(tissue == name)
         for i, first in enumerate(own):
             for second in own[i + 1 :]:
-                if abs(ramp_log[first] - ramp_log[second]) < SAME_RAMP_LOG:
+                if abs(ramp_log[first] - ramp_log[second]) < SAME_RAMP_TOLERANCE_LOG:
                     off = centre[first] - centre[second]
                     total += float(off @ information @ off) / (2 * len(off)) / (len(own) - 1)
                     weight += 1.0 / (len(own) - 1)

@@ -6,17 +6,32 @@ from collections.abc import Sequence
 import numpy as np
 
 from config.errors import ConfigurationError
-from config.schema import Learned, LearnedRecording, LearnedTissue, Spread, TissueLibrary, TissueProfile, Tool
-from estimator.learning.between import session_scale
+from config.schema import (
+    LearnedLibrary,
+    LearnedRecording,
+    LearnedTissue,
+    ParameterSpread,
+    TissueLibrary,
+    TissueProfile,
+    Tool,
+)
+from estimator.learning.between import estimate_session_scale
 from estimator.learning.constants import BETWEEN_SD, FEATURES, PARAMETER_FLOOR_LOG_SD, WITHIN_FLOOR_SHARE
-from estimator.learning.grasps import Curves
+from estimator.learning.grasps import LoadingCurves
 from estimator.learning.scatter import robust_scatter, shrunk_scatter
 
-DIGITS = 6
+SIGNIFICANT_DIGITS = 6
 
 
-def fit(
-    curves: Sequence[Curves], tool: Tool, base: TissueLibrary, base_name: str, peak_v: float, *, name: str, date: str
+def fit_library(
+    curves: Sequence[LoadingCurves],
+    tool: Tool,
+    base: TissueLibrary,
+    base_name: str,
+    peak_v: float,
+    *,
+    name: str,
+    date: str,
 ) -> TissueLibrary:
     """The library that recordings make; the order in which they come does not matter.
 
@@ -36,57 +51,59 @@ def fit(
     tissue = np.array([labels.index(each.recording.label) for each in curves])
     loading = robust_scatter([each.features for each in curves], WITHIN_FLOOR_SHARE * BETWEEN_SD**2)
     centre, ramp = np.array(loading[0]), np.array([each.ramp_log for each in curves])
-    parameters = _parameter_scatter(curves, labels)
+    parameters = _fit_parameter_scatter(curves, labels)
     tissues = {}
     for i, label in enumerate(labels):
         own = np.flatnonzero(tissue == i)
         within = shrunk_scatter(*([part[k] for k in own] for part in _groups(curves, loading)), loading[2])
         learned = LearnedTissue(
             grasps=sum(len(curves[k].features) for k in own),
-            log_covariance=_rows(parameters[label][1]),
+            log_covariance=_round_matrix(parameters[label][1]),
             contact_measured=math.isfinite(parameters[label][0][3]),
-            loading_covariance=_rows(within),
-            recordings=tuple(_recording(curves[k], centre[k]) for k in own),
+            loading_covariance=_round_matrix(within),
+            recordings=tuple(_build_recording(curves[k], centre[k]) for k in own),
         )
-        tissues[label] = _profile(label, base, parameters[label], learned)
-    lowest = [label for label in labels if base_tissue(label, base) is None]
+        tissues[label] = _build_profile(label, base, parameters[label], learned)
+    lowest = [label for label in labels if find_base_tissue(label, base) is None]
     return TissueLibrary(
         name=name,
         title=f"Learned from {len(curves)} recordings with {tool.title}",
-        source=_source(curves, base_name, base, lowest),
+        source=_describe_source(curves, base_name, base, lowest),
         mass_kg=base.mass_kg,
         jaw_area_m2=base.jaw_area_m2,
         spread=base.spread,
-        learned=Learned(
+        learned=LearnedLibrary(
             date=date,
             base=base_name,
             tool=tool.name,
             calibration=tool.calibration_fingerprint,
             features=FEATURES,
             usual_peak_v=peak_v,
-            session_scale=_rounded(session_scale(tissue, ramp, centre)),
+            session_scale=_round_significant(estimate_session_scale(tissue, ramp, centre)),
         ),
         tissues=tissues,
     )
 
 
-def base_tissue(label: str, base: TissueLibrary) -> str | None:
+def find_base_tissue(label: str, base: TissueLibrary) -> str | None:
     """The base library's name for a label, whatever its case and separators; None where it has none."""
-    wanted = _bare(label)
-    return next((name for name in base.tissues if _bare(name) == wanted), None)
+    wanted = _normalize_name(label)
+    return next((name for name in base.tissues if _normalize_name(name) == wanted), None)
 
 
-def _bare(name: str) -> str:
+def _normalize_name(name: str) -> str:
     return "".join(letter for letter in name.lower() if letter.isalnum())
 
 
 def _groups(
-    curves: Sequence[Curves], loading: tuple[list[np.ndarray], list[np.ndarray], np.ndarray]
+    curves: Sequence[LoadingCurves], loading: tuple[list[np.ndarray], list[np.ndarray], np.ndarray]
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
     return [each.features for each in curves], loading[0], loading[1]
 
 
-def _parameter_scatter(curves: Sequence[Curves], labels: list[str]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _fit_parameter_scatter(
+    curves: Sequence[LoadingCurves], labels: list[str]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Of each tissue, the mean (4,) and covariance (4, 4) of log alpha, log beta, log d and log thickness.
 
     The thickness is NaN where no contact was sensed, and its variance 1 then: the caller knows what to put there.
@@ -117,11 +134,11 @@ def _parameter_scatter(curves: Sequence[Curves], labels: list[str]) -> dict[str,
     return result
 
 
-def _profile(
+def _build_profile(
     label: str, base: TissueLibrary, parameters: tuple[np.ndarray, np.ndarray], learned: LearnedTissue
 ) -> TissueProfile:
     (log_alpha, log_beta, log_damping, log_thickness), cov = parameters
-    known = base_tissue(label, base)
+    known = find_base_tissue(label, base)
     like = base.tissues[known] if known else min(base.tissues.values(), key=lambda each: each.threshold_pa)
     sd = np.sqrt(np.diag(cov))
     log_thickness_sd = float(sd[3])
@@ -129,36 +146,36 @@ def _profile(
         log_thickness_sd = base.spread_of(known).log_thickness if known else 1.0
         covariance = np.array(learned.log_covariance)
         covariance[3, 3] = log_thickness_sd**2
-        learned = learned.model_copy(update={"log_covariance": _rows(covariance)})
+        learned = learned.model_copy(update={"log_covariance": _round_matrix(covariance)})
     return TissueProfile(
         title=like.title if known else label.replace("_", " ").capitalize(),
-        alpha_n=_rounded(math.exp(log_alpha)),
-        beta_per_m=_rounded(math.exp(log_beta)),
-        damping_kg_per_s=_rounded(math.exp(log_damping)),
-        thickness_m=_rounded(math.exp(log_thickness)) if learned.contact_measured else like.thickness_m,
+        alpha_n=_round_significant(math.exp(log_alpha)),
+        beta_per_m=_round_significant(math.exp(log_beta)),
+        damping_kg_per_s=_round_significant(math.exp(log_damping)),
+        thickness_m=_round_significant(math.exp(log_thickness)) if learned.contact_measured else like.thickness_m,
         threshold_pa=like.threshold_pa,
-        spread=Spread(
-            log_alpha=_rounded(sd[0]),
-            log_beta=_rounded(sd[1]),
-            log_damping=_rounded(sd[2]),
-            log_thickness=_rounded(log_thickness_sd),
+        spread=ParameterSpread(
+            log_alpha=_round_significant(sd[0]),
+            log_beta=_round_significant(sd[1]),
+            log_damping=_round_significant(sd[2]),
+            log_thickness=_round_significant(log_thickness_sd),
         ),
         learned=learned,
     )
 
 
-def _recording(curves: Curves, centre: np.ndarray) -> LearnedRecording:
+def _build_recording(curves: LoadingCurves, centre: np.ndarray) -> LearnedRecording:
     return LearnedRecording(
         file=curves.recording.file,
         sha256=curves.recording.sha256,
         grasps=len(curves.features),
         left_out=tuple(curves.left_out),
-        ramp_v_per_s=_rounded(math.exp(curves.ramp_log)),
-        centre=tuple(_rounded(value) for value in centre),
+        ramp_v_per_s=_round_significant(math.exp(curves.ramp_log)),
+        centre=tuple(_round_significant(value) for value in centre),
     )
 
 
-def _source(curves: Sequence[Curves], base_name: str, base: TissueLibrary, lowest: list[str]) -> str:
+def _describe_source(curves: Sequence[LoadingCurves], base_name: str, base: TissueLibrary, lowest: list[str]) -> str:
     grasps = sum(len(each.features) for each in curves)
     text = (
         f"learned from {grasps} grasps in {', '.join(sorted(each.recording.file for each in curves))}; "
@@ -172,10 +189,10 @@ def _source(curves: Sequence[Curves], base_name: str, base: TissueLibrary, lowes
     return text
 
 
-def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(_rounded(value) for value in row) for row in (matrix + matrix.T) / 2)
+def _round_matrix(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(_round_significant(value) for value in row) for row in (matrix + matrix.T) / 2)
 
 
-def _rounded(value: float) -> float:
+def _round_significant(value: float) -> float:
     """To six significant digits: a file for people, and the same bits on every machine."""
-    return float(f"{value:.{DIGITS}g}")
+    return float(f"{value:.{SIGNIFICANT_DIGITS}g}")

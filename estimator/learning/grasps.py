@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from acquisition.blocks import Flag
+from acquisition.blocks import SampleFlag
 from config.schema import Tool
-from estimator.learning.constants import FEATURES, SMOOTH_SAMPLES, WEAKEST_SHARE
-from estimator.learning.loading import Loading
+from estimator.learning.constants import FEATURES, MEAN_SAMPLES, MIN_PEAK_SHARE
+from estimator.learning.loading import LoadingCurve
 
-ENCODER_SLIPS, SATURATED = Flag.ENCODER_SLIPS.value, Flag.SATURATED.value
+ENCODER_SLIPS, SATURATED = SampleFlag.ENCODER_SLIPS.value, SampleFlag.SATURATED.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +25,11 @@ class RecordedGrasp:
     @property
     def peak_v(self) -> float:
         """Highest strain voltage over the lowest before it, smoothed, V."""
-        volt = np.convolve(self.samples["strain_v"], np.full(SMOOTH_SAMPLES, 1 / SMOOTH_SAMPLES), "valid")
+        volt = np.convolve(self.samples["strain_v"], np.full(MEAN_SAMPLES, 1 / MEAN_SAMPLES), "valid")
         top = int(np.argmax(volt)) if len(volt) else 0
         return float(volt[top] - volt[: top + 1].min()) if len(volt) else 0.0
 
-    def fault(self) -> str | None:
+    def find_fault(self) -> str | None:
         """Why nothing can be learned from it; None where it can."""
         flags = int(np.bitwise_or.reduce(self.samples["flags"])) if len(self.samples) else 0
         if flags & ENCODER_SLIPS:
@@ -42,7 +42,7 @@ class RecordedGrasp:
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class LabeledRecording:
     """A labelled recording."""
 
     label: str
@@ -52,36 +52,38 @@ class Recorded:
 
 
 @dataclass(slots=True)
-class Curves:
+class LoadingCurves:
     """What of a recording is learned from: N grasps, F features."""
 
-    recording: Recorded
+    recording: LabeledRecording
     features: np.ndarray  # (N, F)
     log_parameters: np.ndarray  # (N, 3)
     log_thickness: np.ndarray  # (N,), NaN where it is not measured
     ramp_log: float
-    indices: list[int] = field(default_factory=list)  # of the grasps, from 1
+    grasp_indices: list[int] = field(default_factory=list)  # of the grasps, from 1
     left_out: list[str] = field(default_factory=list)
 
 
-def usual_peak_v(recordings: list[Recorded]) -> float:
+def estimate_usual_peak_v(recordings: list[LabeledRecording]) -> float:
     """Peak that grasps of all recordings reach, V, to a millivolt; NaN where no grasp is sound.
 
     The lowest of the recordings' medians, unless a recording is much weaker than most.
     """
-    peaks = [np.median(sound) for each in recordings if (sound := [g.peak_v for g in each.grasps if not g.fault()])]
-    return round(float(max(min(peaks), WEAKEST_SHARE * np.median(peaks))), 3) if peaks else math.nan
+    peaks = [
+        np.median(sound) for each in recordings if (sound := [g.peak_v for g in each.grasps if not g.find_fault()])
+    ]
+    return round(float(max(min(peaks), MIN_PEAK_SHARE * np.median(peaks))), 3) if peaks else math.nan
 
 
-def curves_of(recording: Recorded, tool: Tool, peak_v: float) -> Curves:
+def extract_loading_curves(recording: LabeledRecording, tool: Tool, peak_v: float) -> LoadingCurves:
     """Each sound grasp's loading curve. The first, on tissue that is not preconditioned, is left out on purpose."""
     dt_s, stretch = 1.0 / tool.board.sample_rate_hz, tool.calibration.encoder_deg_per_volt
     features, ramps, kept, left_out = [], [], [], []
     for position, grasp in enumerate(recording.grasps):
-        loading = Loading(stretch, peak_v, dt_s, first=position == 0)
-        loading.take(grasp.samples)
-        seen = loading.seen()
-        why = grasp.fault() or ("first grasp: the tissue is not preconditioned" if position == 0 else None)
+        loading = LoadingCurve(stretch, peak_v, dt_s, first=position == 0)
+        loading.append(grasp.samples)
+        seen = loading.observe_features()
+        why = grasp.find_fault() or ("first grasp: the tissue is not preconditioned" if position == 0 else None)
         if why is None and not np.isfinite(seen.features).all():
             missing = ", ".join(np.array(FEATURES)[~np.isfinite(seen.features)])
             why = f"the force never came far enough to tell {missing}"
@@ -92,7 +94,7 @@ def curves_of(recording: Recorded, tool: Tool, peak_v: float) -> Curves:
         ramps.append(seen.ramp_log)
         kept.append(grasp)
     thickness = [math.nan if grasp.thickness_m is None else math.log(grasp.thickness_m) for grasp in kept]
-    return Curves(
+    return LoadingCurves(
         recording,
         np.array(features).reshape(-1, len(FEATURES)),
         np.array([grasp.log_parameters for grasp in kept]).reshape(-1, 3),

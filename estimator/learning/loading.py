@@ -13,31 +13,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator.learning.constants import (
+    CLOSURE_SHARES,
+    CLOSURE_STEP_DEG,
     FEATURES,
     FORCE_FLOOR_SHARE,
-    GAPS_DEG,
+    FORCE_GAPS_DEG,
     GIVE_SHARES,
     KNEE_SHARE,
     LEAN_SHARES,
     LOADING_LIMIT_SAMPLES,
+    LOADING_START_SHARE,
+    MEAN_SAMPLES,
     OPENING_UNIT_DEG,
     RAMP_SHARE,
     RAMP_STEP_LOG,
-    REMEMBERED_STEP_DEG,
-    RISEN_SHARE,
-    SHUT_SHARES,
-    SMOOTH_SAMPLES,
     STALLED_SAMPLES,
     TRAVEL_UNIT_DEG,
     YIELD_SHARES,
 )
 
-OPENING, FORCES = 0, slice(1, 1 + len(GAPS_DEG))
-KNEE, LEAN, STALL, YIELD, GIVE = range(1 + len(GAPS_DEG), len(FEATURES))
+OPENING, FORCES = 0, slice(1, 1 + len(FORCE_GAPS_DEG))
+KNEE, LEAN, STALL, YIELD, GIVE = range(1 + len(FORCE_GAPS_DEG), len(FEATURES))
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ObservedFeatures:
     """What a loading curve has told so far.
 
     `features` (F,), NaN where not passed yet; `of_shut` (F,) by how much each changes with a degree of the place where
@@ -45,11 +45,11 @@ class Seen:
     """
 
     features: np.ndarray
-    of_shut: np.ndarray
+    closure_sensitivity: np.ndarray
     ramp_log: float
 
 
-class Loading:
+class LoadingCurve:
     """Follows one grasp from where the command leaves zero."""
 
     def __init__(
@@ -57,7 +57,7 @@ class Loading:
         stretch_deg_per_volt: float,
         peak_v: float,
         dt_s: float,
-        shut_before_deg: float | None = None,
+        previous_closure_deg: float | None = None,
         *,
         first: bool = False,
     ) -> None:
@@ -70,85 +70,89 @@ class Loading:
             shut_before_deg: corrected encoder angle at which the jaws were shut before; None where nothing tells it.
             first: whether this is the source's first grasp: how far its jaws are open says nothing of a tissue.
         """
-        self._stretch, self._peak_v, self._before_deg, self._first = (
+        self._stretch_deg_per_volt, self._peak_v, self._previous_closure_deg, self._is_first_grasp = (
             stretch_deg_per_volt,
             peak_v,
-            shut_before_deg,
+            previous_closure_deg,
             first,
         )
         self._dt_s = dt_s
-        self._last_v: deque[float] = deque(maxlen=SMOOTH_SAMPLES)
-        self._last_deg: deque[float] = deque(maxlen=SMOOTH_SAMPLES)
-        self._table = np.empty((3, 1024))  # smoothed strain, V; smoothed travel without the cable's, deg; command, V
-        self._n = 0
+        self._last_v: deque[float] = deque(maxlen=MEAN_SAMPLES)
+        self._last_deg: deque[float] = deque(maxlen=MEAN_SAMPLES)
+        self._smoothed = np.empty((3, 1024))  # smoothed strain, V; smoothed travel without the cable's, deg; command, V
+        self._count = 0
         self._rest_v = np.inf
-        self._risen = False
-        self._top, self._top_v = 0, -np.inf
-        self.over = False  # the drive has stalled: what comes later is no loading
+        self._is_loading = False
+        self._peak_index, self._peak_strain_v = 0, -np.inf
+        self.ended = False  # the drive has stalled: what comes later is no loading
 
-    def take(self, samples: np.ndarray) -> None:
+    def append(self, samples: np.ndarray) -> None:
         """Take samples of dtype SAMPLE. Samples without a reading are left out."""
         columns = (samples[name].tolist() for name in ("strain_v", "encoder_deg", "motor_command_v"))
         for values in zip(*columns, strict=True):
-            if self.over:
+            if self.ended:
                 return
             if all(map(math.isfinite, values)):
-                self._append(*values)
+                self._append_sample(*values)
 
-    def _append(self, strain_v: float, encoder_deg: float, command_v: float) -> None:
+    def _append_sample(self, strain_v: float, encoder_deg: float, command_v: float) -> None:
         self._last_v.append(strain_v)
         self._last_deg.append(encoder_deg)
         volt = sum(self._last_v) / len(self._last_v)
-        if self._n == self._table.shape[1]:
-            self._table = np.concatenate([self._table, np.empty_like(self._table)], axis=1)
-        at, self._n = self._n, self._n + 1
-        self._table[:, at] = volt, sum(self._last_deg) / len(self._last_deg) - self._stretch * volt, command_v
-        if not self._risen and volt < self._rest_v:
-            self._rest_v = self._top_v = volt
-            self._top = at
-        if volt > self._top_v:
-            self._top_v, self._top = volt, at
-        rise_v = self._top_v - self._rest_v
-        self._risen = self._risen or rise_v > RISEN_SHARE * self._peak_v
-        stalled = rise_v > SHUT_SHARES[0] * self._peak_v and at - self._top >= STALLED_SAMPLES
-        self.over = stalled or self._n >= LOADING_LIMIT_SAMPLES
+        if self._count == self._smoothed.shape[1]:
+            self._smoothed = np.concatenate([self._smoothed, np.empty_like(self._smoothed)], axis=1)
+        at, self._count = self._count, self._count + 1
+        self._smoothed[:, at] = (
+            volt,
+            sum(self._last_deg) / len(self._last_deg) - self._stretch_deg_per_volt * volt,
+            command_v,
+        )
+        if not self._is_loading and volt < self._rest_v:
+            self._rest_v = self._peak_strain_v = volt
+            self._peak_index = at
+        if volt > self._peak_strain_v:
+            self._peak_strain_v, self._peak_index = volt, at
+        rise_v = self._peak_strain_v - self._rest_v
+        self._is_loading = self._is_loading or rise_v > LOADING_START_SHARE * self._peak_v
+        stalled = rise_v > CLOSURE_SHARES[0] * self._peak_v and at - self._peak_index >= STALLED_SAMPLES
+        self.ended = stalled or self._count >= LOADING_LIMIT_SAMPLES
 
     @property
     def peak_v(self) -> float:
         """Highest smoothed strain voltage so far over its lowest, V."""
-        return self._top_v - self._rest_v if self._n else 0.0
+        return self._peak_strain_v - self._rest_v if self._count else 0.0
 
     @property
-    def shut_deg(self) -> float | None:
+    def jaw_closure_deg(self) -> float | None:
         """Corrected encoder angle where the jaws were shut in this grasp; None where they were not, or not yet."""
-        low_v, high_v = (self._rest_v + share * self._peak_v for share in SHUT_SHARES)
-        if not self._n or self._top_v < high_v:
+        low_v, high_v = (self._rest_v + share * self._peak_v for share in CLOSURE_SHARES)
+        if not self._count or self._peak_strain_v < high_v:
             return None
-        volt, travel, _ = self._table[:, : self._top + 1]
+        volt, travel, _ = self._smoothed[:, : self._peak_index + 1]
         first = int(np.argmax(volt >= high_v))
         between = travel[:first][volt[:first] >= low_v]
         return float(np.median(between)) if len(between) else None
 
-    def seen(self) -> Seen:
+    def observe_features(self) -> ObservedFeatures:
         """What is known by now."""
-        if not self._risen:
-            return Seen(np.full(len(FEATURES), np.nan), np.zeros(len(FEATURES)), self.ramp_log)
-        shut_deg, of_shut = self.shut_deg, np.zeros(len(FEATURES))
-        at_deg = self._before_deg if shut_deg is None else shut_deg
-        features = self._features(at_deg)
+        if not self._is_loading:
+            return ObservedFeatures(np.full(len(FEATURES), np.nan), np.zeros(len(FEATURES)), self.ramp_log)
+        shut_deg, of_shut = self.jaw_closure_deg, np.zeros(len(FEATURES))
+        at_deg = self._previous_closure_deg if shut_deg is None else shut_deg
+        features = self._compute_features(at_deg)
         if shut_deg is None:
             features[OPENING] = np.nan  # until then it would tell what the grasp before has held
         if shut_deg is None and at_deg is not None:
-            later, sooner = (self._features(at_deg + sign * REMEMBERED_STEP_DEG) for sign in (1.0, -1.0))
-            of_shut = (later - sooner) / (2 * REMEMBERED_STEP_DEG)
+            later, sooner = (self._compute_features(at_deg + sign * CLOSURE_STEP_DEG) for sign in (1.0, -1.0))
+            of_shut = (later - sooner) / (2 * CLOSURE_STEP_DEG)
             features[np.isnan(of_shut)] = np.nan
             of_shut = np.nan_to_num(of_shut)
-        return Seen(features, of_shut, self.ramp_log)
+        return ObservedFeatures(features, of_shut, self.ramp_log)
 
     @property
     def ramp_log(self) -> float:
         """ln of the command's rise in V/s up to RAMP_SHARE of its maximum so far; 0 where it has not moved."""
-        command = self._table[2, : self._n]
+        command = self._smoothed[2, : self._count]
         most = float(command.max(initial=0.0))
         after = int(np.argmax(command >= RAMP_SHARE * most)) if most > 0.0 else 0
         if after == 0:
@@ -156,40 +160,40 @@ class Loading:
         ramp_log = math.log(float(command[after]) / (after * self._dt_s))
         return RAMP_STEP_LOG * round(ramp_log / RAMP_STEP_LOG)
 
-    def _features(self, shut_deg: float | None) -> np.ndarray:
+    def _compute_features(self, jaw_closure_deg: float | None) -> np.ndarray:
         """FEATURES as far as passed, were the jaws shut at `shut_deg`; NaN otherwise."""
         result = np.full(len(FEATURES), np.nan)
-        volt, travel, _ = self._table[:, : self._top + 1]
+        volt, travel, _ = self._smoothed[:, : self._peak_index + 1]
         force = (volt - self._rest_v) / self._peak_v
-        lean = [_first(force >= share) for share in LEAN_SHARES]
+        lean = [_find_first(force >= share) for share in LEAN_SHARES]
         if lean[1] is not None and lean[0] is not None:
-            result[LEAN] = _travel_unit(travel[lean[1]] - travel[lean[0]])
-        begin, end = (_first(force >= share) for share in YIELD_SHARES)
+            result[LEAN] = _scale_travel(travel[lean[1]] - travel[lean[0]])
+        begin, end = (_find_first(force >= share) for share in YIELD_SHARES)
         if begin is not None and end is not None:
             result[YIELD] = math.log((end - begin + 1) * self._dt_s)
-        begin, end = (_first(force >= share) for share in GIVE_SHARES)
+        begin, end = (_find_first(force >= share) for share in GIVE_SHARES)
         if begin is not None and end is not None:
-            result[GIVE] = _travel_unit(travel[end] - travel[begin])
-        if self.over:
+            result[GIVE] = _scale_travel(travel[end] - travel[begin])
+        if self.ended:
             result[STALL] = math.log(force[-1])
-        if shut_deg is None:
+        if jaw_closure_deg is None:
             return result
-        if not self._first:
-            result[OPENING] = (shut_deg - travel[0]) / OPENING_UNIT_DEG
-        for i, gap_deg in enumerate(GAPS_DEG):
-            at = _first(travel >= shut_deg - gap_deg)
+        if not self._is_first_grasp:
+            result[OPENING] = (jaw_closure_deg - travel[0]) / OPENING_UNIT_DEG
+        for i, gap_deg in enumerate(FORCE_GAPS_DEG):
+            at = _find_first(travel >= jaw_closure_deg - gap_deg)
             if at is not None:
                 result[FORCES][i] = math.log(max(float(force[at]), 0.0) + FORCE_FLOOR_SHARE)
-        knee = _first(force >= KNEE_SHARE)
+        knee = _find_first(force >= KNEE_SHARE)
         if knee is not None:
-            result[KNEE] = _travel_unit(shut_deg - travel[knee])
+            result[KNEE] = _scale_travel(jaw_closure_deg - travel[knee])
         return result
 
 
-def _first(condition: np.ndarray) -> int | None:
+def _find_first(condition: np.ndarray) -> int | None:
     at = int(np.argmax(condition)) if len(condition) else 0
     return at if len(condition) and condition[at] else None
 
 
-def _travel_unit(travel_deg: float) -> float:
+def _scale_travel(travel_deg: float) -> float:
     return math.asinh(travel_deg / TRAVEL_UNIT_DEG)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.learning.constants import POOLED_WEIGHT, ROBUST_FREEDOM, SHAPE_WEIGHT
+from estimator.learning.constants import POOLED_WEIGHT, ROBUST_DEGREES_OF_FREEDOM, SHAPE_WEIGHT
 
-ROUNDS = 30
+ITERATIONS = 30
 MAD_TO_SD = 1.4826  # of a Gaussian
 
 
@@ -29,12 +29,14 @@ def robust_scatter(
     off = np.concatenate([rows - centre for rows, centre in zip(groups, centres, strict=True)])
     cov = np.diag((MAD_TO_SD * np.median(np.abs(off), axis=0)) ** 2 + floor_var)
     weights: list[np.ndarray] = []
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         information = np.linalg.inv(cov)
         weights, moments = [], np.zeros((p, p))
         for i, rows in enumerate(groups):
             off = rows - centres[i]
-            weight = (ROBUST_FREEDOM + p) / (ROBUST_FREEDOM + np.einsum("ij,jk,ik->i", off, information, off))
+            weight = (ROBUST_DEGREES_OF_FREEDOM + p) / (
+                ROBUST_DEGREES_OF_FREEDOM + np.einsum("ij,jk,ik->i", off, information, off)
+            )
             centres[i] = weight @ rows / weight.sum()
             off = rows - centres[i]
             moments += (weight[:, None] * off).T @ off

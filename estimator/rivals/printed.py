@@ -10,32 +10,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.schema import Identification, TissueLibrary, Tool
-from estimator.bank import Contact, Priors
+from config.schema import IdentificationSettings, TissueLibrary, Tool
+from estimator.bank import ContactStart, TissuePriors
 from estimator.compiling import compiled
 from estimator.constants import EXPONENT_LIMIT
 from estimator.criteria import convergence_samples
 from estimator.model import elastic_force, force_curve, step_matrices, tangent_stiffness
 
-STATES = 5
-X, V, ALPHA, BETA, DAMPING = range(STATES)
+STATE_COUNT = 5
+X, V, ALPHA, BETA, DAMPING = range(STATE_COUNT)
 
 # P0 and Qw are not stated in the paper; these make Tables III and IV come out as printed from close guesses.
 GUESS_SHARE_SD = np.array([0.25, 0.10, 0.30])  # of the guesses: the library's spreads
 VELOCITY_SD_M_PER_S = 0.05
-WALK_SHARE = np.array([1e-3, 1e-3, 1e-2])  # of the guesses, a square root of a second
-FILTERED_NOISE = 0.15  # share of white noise that the 10 Hz low-pass lets through: sqrt(2 * 11 Hz / 1000 Hz)
+RANDOM_WALK_SHARE = np.array([1e-3, 1e-3, 1e-2])  # of the guesses, a square root of a second
+FILTERED_NOISE_SHARE = 0.15  # share of white noise that the 10 Hz low-pass lets through: sqrt(2 * 11 Hz / 1000 Hz)
 
 
 @dataclass(frozen=True, slots=True)
-class PrintedNoise:
+class PaperNoise:
     """Standard deviations of the input, N, and of the measured displacement, m."""
 
     force_sd_n: float
     displacement_sd_m: float
 
 
-class PrintedBank:
+class PaperFilterBank:
     """One of the paper's filters for each guess, on the same force and displacement."""
 
     def __init__(
@@ -43,7 +43,7 @@ class PrintedBank:
         guess: np.ndarray,
         mass_kg: float,
         dt_s: float,
-        noise: PrintedNoise,
+        noise: PaperNoise,
         guess_share_sd: np.ndarray = GUESS_SHARE_SD,
     ) -> None:
         """`guess`: alpha N, beta 1/m, d kg/s of each filter, (K, 3); `guess_share_sd`: how far off, as a share."""
@@ -54,22 +54,22 @@ class PrintedBank:
     def start(self, force_n: float, velocity_m_per_s: float = 0.0) -> None:
         """Begin at contact, under the force measured there."""
         k = len(self._guess)
-        self.mean, self.cov = np.zeros((k, STATES)), np.zeros((k, STATES, STATES))
+        self.mean, self.cov = np.zeros((k, STATE_COUNT)), np.zeros((k, STATE_COUNT, STATE_COUNT))
         self.mean[:, V], self.mean[:, ALPHA:] = velocity_m_per_s, self._guess
         for cov, guess in zip(self.cov, self._guess, strict=True):
             start = [self._noise.displacement_sd_m, VELOCITY_SD_M_PER_S, *(self._guess_share_sd * guess)]
             np.fill_diagonal(cov, np.square(start))
         self.log_likelihood, self.valid = np.zeros(k), np.ones(k, bool)
-        self._before_n = np.array([force_n])
+        self._previous_force_n = np.array([force_n])
 
     def advance(self, force_n: np.ndarray, displacement_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Take the following samples, (n,) each; means, (n, K, 5), and elastic forces, (n, K); NaN if diverged."""
-        means = np.empty((len(force_n), len(self._guess), STATES))
-        walk_var = np.square(WALK_SHARE * self._guess) * self._dt_s
-        _advance(
+        means = np.empty((len(force_n), len(self._guess), STATE_COUNT))
+        walk_var = np.square(RANDOM_WALK_SHARE * self._guess) * self._dt_s
+        _advance_bank(
             force_n,
             displacement_m,
-            self._before_n,
+            self._previous_force_n,
             self._mass_kg,
             self._dt_s,
             self._noise.force_sd_n**2,
@@ -85,7 +85,7 @@ class PrintedBank:
 
 
 @compiled
-def _advance(
+def _advance_bank(
     force_n,
     displacement_m,
     before_n,
@@ -100,7 +100,7 @@ def _advance(
     valid,
     means,
 ):
-    step, transition = np.empty((2, 4)), np.eye(STATES)
+    step, transition = np.empty((2, 4)), np.eye(STATE_COUNT)
     for i in range(len(force_n)):
         for k in range(len(mean)):
             if valid[k]:
@@ -138,23 +138,24 @@ def _predict(mean, cov, force_n, mass_kg, dt_s, force_var, walk_var, step, trans
         cov[ALPHA + j, ALPHA + j] += walk_var[j]
 
 
-class PrintedIdentifier:
+class PaperIdentifier:
     """The paper's bank on the Butterworth signals; its probabilities are plain products of innovation likelihoods."""
 
-    def __init__(self, tool: Tool, library: TissueLibrary, settings: Identification) -> None:
-        priors = Priors.of(library)
-        self._sensor_v = FILTERED_NOISE * tool.noise.strain_sd_v
+    def __init__(self, tool: Tool, library: TissueLibrary, settings: IdentificationSettings) -> None:
+        priors = TissuePriors.from_library(library)
+        self._filtered_noise_sd_v = FILTERED_NOISE_SHARE * tool.noise.strain_sd_v
         self._guess, self._mass_kg = np.exp(priors.mean), library.mass_kg
         self._dt_s = 1.0 / tool.board.sample_rate_hz
         self._convergence_error = settings.convergence_error
         self._errors: list[np.ndarray] = []
         self._peak_n = 0.0
 
-    def start(self, first: np.void, contact: Contact) -> None:
-        noise = PrintedNoise(
-            self._sensor_v * float(first["newton_per_volt"]), self._sensor_v * abs(float(first["metre_per_volt"]))
+    def start(self, first: np.void, contact: ContactStart) -> None:
+        noise = PaperNoise(
+            self._filtered_noise_sd_v * float(first["newton_per_volt"]),
+            self._filtered_noise_sd_v * abs(float(first["metre_per_volt"])),
         )
-        self._bank = PrintedBank(self._guess, self._mass_kg, self._dt_s, noise)
+        self._bank = PaperFilterBank(self._guess, self._mass_kg, self._dt_s, noise)
         self._bank.start(float(first["jaw_force_filtered_n"]), contact.velocity_m_per_s)
         self._contact_m = float(first["jaw_displacement_filtered_m"])
         self._errors, self._peak_n = [], 0.0
@@ -173,7 +174,7 @@ class PrintedIdentifier:
         likelihood = np.exp(weights - weights.max())
         return np.append(likelihood / likelihood.sum(), 0.0)
 
-    def by_criteria(self) -> int:
+    def choose_by_criteria(self) -> int:
         """The paper's answer so far: the guess whose force error has been inside its bound for longest, index."""
         errors = np.concatenate(self._errors)
         converged = convergence_samples(errors, self._convergence_error * self._peak_n)  # NaN sorts last

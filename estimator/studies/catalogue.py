@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 from estimator.studies.runner import Progress
 
 if TYPE_CHECKING:  # they take a second: not before a study is carried out
-    from estimator.studies.course import Bench
-    from estimator.studies.report import Study
+    from estimator.studies.course import StudyConditions
+    from estimator.studies.report import StudyResult
 
-MOST_GRASPS, MOST_SEEDS = 100_000, 1_000
+MAX_GRASPS, MAX_SEEDS = 100_000, 1_000
 
 
 @dataclass(frozen=True, slots=True)
-class StudyEntry:
+class StudyDefinition:
     """A study. `carry_out(bench, grasps, seed, progress, jobs)` does it; without `jobs` on all cores.
 
     `usual` and `most` are grasps of each tissue (and of each condition); where there is no bench, seeds.
@@ -22,115 +22,127 @@ class StudyEntry:
 
     name: str
     title: str
-    usual: int
-    most: int
-    carry_out: Callable[["Bench", int, int, Progress, int | None], "Study"]
-    on_bench: bool = True
+    default_count: int
+    max_count: int
+    run: Callable[["StudyConditions", int, int, Progress, int | None], "StudyResult"]
+    uses_conditions: bool = True
     """Whether it simulates grasps as a `Bench` says; else the bench means nothing to it."""
-    weighs_thickness: bool = True
+    uses_thickness: bool = True
     """Whether thickness at contact can be evidence in it."""
-    plays_protocol: bool = True
+    uses_protocol: bool = True
     """Whether the bench's protocol is what it plays; else it makes its own."""
 
 
-def _paper(bench: "Bench", seeds: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
-    from estimator.studies.paper import paper
+def _run_paper(bench: "StudyConditions", seeds: int, seed: int, progress: Progress, jobs: int | None) -> "StudyResult":
+    from estimator.studies.paper import run_paper_study
 
-    return paper(seeds, seed, progress, jobs)
-
-
-def _identify(bench: "Bench", grasps: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
-    from estimator.studies.identify import identify
-
-    return identify(bench, grasps, seed, progress, jobs)
+    return run_paper_study(seeds, seed, progress, jobs)
 
 
-def _unknown(bench: "Bench", grasps: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
-    from estimator.studies.unknown import unknown
+def _run_identify(
+    bench: "StudyConditions", grasps: int, seed: int, progress: Progress, jobs: int | None
+) -> "StudyResult":
+    from estimator.studies.identify import run_identify_study
 
-    return unknown(bench, grasps, seed, progress, jobs)
-
-
-def _initial(bench: "Bench", grasps: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
-    from estimator.studies.initial import initial
-
-    return initial(bench, grasps, seed, progress, jobs)
+    return run_identify_study(bench, grasps, seed, progress, jobs)
 
 
-def _mismatch(bench: "Bench", grasps: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
-    from estimator.studies.mismatch import mismatch
+def _run_unknown(
+    bench: "StudyConditions", grasps: int, seed: int, progress: Progress, jobs: int | None
+) -> "StudyResult":
+    from estimator.studies.unknown import run_unknown_study
 
-    return mismatch(bench, grasps, seed, progress, jobs)
+    return run_unknown_study(bench, grasps, seed, progress, jobs)
 
 
-def _estimators(bench: "Bench", grasps: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
-    from estimator.studies.estimators import estimators
+def _run_initial(
+    bench: "StudyConditions", grasps: int, seed: int, progress: Progress, jobs: int | None
+) -> "StudyResult":
+    from estimator.studies.initial import run_initial_study
+
+    return run_initial_study(bench, grasps, seed, progress, jobs)
+
+
+def _run_mismatch(
+    bench: "StudyConditions", grasps: int, seed: int, progress: Progress, jobs: int | None
+) -> "StudyResult":
+    from estimator.studies.mismatch import run_mismatch_study
+
+    return run_mismatch_study(bench, grasps, seed, progress, jobs)
+
+
+def _run_estimators(
+    bench: "StudyConditions", grasps: int, seed: int, progress: Progress, jobs: int | None
+) -> "StudyResult":
+    from estimator.studies.estimators import run_estimators_study
 
     # the other filters know nothing of thickness
-    return estimators(replace(bench, thickness=False), grasps, seed, progress, jobs)
+    return run_estimators_study(replace(bench, thickness=False), grasps, seed, progress, jobs)
 
 
-def _limiter(bench: "Bench", grasps: int, seed: int, progress: Progress, jobs: int | None) -> "Study":
-    from estimator.studies.limiter import limiter
+def _run_limiter(
+    bench: "StudyConditions", grasps: int, seed: int, progress: Progress, jobs: int | None
+) -> "StudyResult":
+    from estimator.studies.limiter import run_limiter_study
 
-    return limiter(bench, grasps, seed, progress, jobs)
+    return run_limiter_study(bench, grasps, seed, progress, jobs)
 
 
-_ALL = (
-    StudyEntry(
+_DEFINITIONS = (
+    StudyDefinition(
         "paper",
         "Tables III, IV and V and Figures 4 and 5 of the paper, beside its own scheme and ours.",
         10,
-        MOST_SEEDS,
-        _paper,
-        on_bench=False,
-        weighs_thickness=False,
+        MAX_SEEDS,
+        _run_paper,
+        uses_conditions=False,
+        uses_thickness=False,
     ),
-    StudyEntry(
+    StudyDefinition(
         "identify",
         "Share right against time beside the Bayes limit, confusion, calibration, decisions, errors of parameters.",
         250,
-        MOST_GRASPS,
-        _identify,
+        MAX_GRASPS,
+        _run_identify,
     ),
-    StudyEntry(
+    StudyDefinition(
         "unknown",
         "Tissues and things outside the library: called unknown? And the library's own: wrongly so?",
         100,
-        MOST_GRASPS,
-        _unknown,
+        MAX_GRASPS,
+        _run_unknown,
     ),
-    StudyEntry(
+    StudyDefinition(
         "initial",
         "Guesses of alpha and beta off by 0.1 to 10 times: share converged within 0.3 s, beside the paper's filter.",
         2,
-        MOST_GRASPS,
-        _initial,
-        weighs_thickness=False,
+        MAX_GRASPS,
+        _run_initial,
+        uses_thickness=False,
     ),
-    StudyEntry(
+    StudyDefinition(
         "mismatch",
         "Truth that differs from the model: damping, relaxation, late touch, scales, motion, mass, friction.",
         100,
-        MOST_GRASPS,
-        _mismatch,
+        MAX_GRASPS,
+        _run_mismatch,
     ),
-    StudyEntry(
+    StudyDefinition(
         "estimators",
         "Ours, the paper's filter, an unscented and a particle filter on the same grasps.",
         60,
-        MOST_GRASPS,
-        _estimators,
-        weighs_thickness=False,
+        MAX_GRASPS,
+        _run_estimators,
+        uses_thickness=False,
     ),
-    StudyEntry(
+    StudyDefinition(
         "limiter",
         "Commands up to 5 N, identified right, wrongly, late or not at all: force over the limit? Still held?",
         500,
-        MOST_GRASPS,
-        _limiter,
-        weighs_thickness=False,
-        plays_protocol=False,
+        MAX_GRASPS,
+        _run_limiter,
+        uses_thickness=False,
+        uses_protocol=False,
     ),
 )
-STUDIES = {entry.name: entry for entry in _ALL}
+STUDIES = {entry.name: entry for entry in _DEFINITIONS}

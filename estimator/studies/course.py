@@ -7,17 +7,17 @@ import numpy as np
 
 from acquisition.blocks import SampleBlock
 from config.load import load_library, load_protocol, load_settings, load_tool
-from config.schema import Protocol, Settings, TissueLibrary, Tool
+from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 from estimator.blocks import GraspRecord
 from estimator.decision import UNDECIDED
-from estimator.session import EstimationSession
-from estimator.studies.grasps import Case, Grasp, simulate, with_noise, without_touch
+from estimator.session import TissueEstimator
+from estimator.studies.grasps import GraspCase, SimulatedGrasp, simulate_grasp, with_noise, without_touch
 
 STEP_S = 0.005
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class StudyConditions:
     """What the grasps of a study have in common. Names, so that it goes to other processes cheaply."""
 
     protocol: str = "trapezoid_2hz"
@@ -29,24 +29,24 @@ class Bench:
 
 
 @dataclass(frozen=True, slots=True)
-class Lab:
+class StudySetup:
     """What a `Bench` names, loaded."""
 
     tool: Tool
     library: TissueLibrary
     settings: Settings
-    protocol: Protocol
+    protocol: GraspProtocol
 
 
 @lru_cache(maxsize=8)
-def set_up(bench: Bench) -> Lab:
+def load_study_setup(bench: StudyConditions) -> StudySetup:
     """Load what the bench names; the simulated tool, with the noise and specimens' spread that it asks for."""
     tool = with_noise(load_tool("simulated"), bench.noise_mv * 1e-3)
     assert tool.simulation is not None
     tool = tool.model_copy(update={"simulation": tool.simulation.model_copy(update={"spread_scale": bench.spread})})
     settings = load_settings()
     identification = settings.identification.model_copy(update={"use_thickness": bench.thickness})
-    return Lab(
+    return StudySetup(
         tool if bench.touch else without_touch(tool),
         load_library(bench.library),
         settings.model_copy(update={"identification": identification}),
@@ -55,29 +55,29 @@ def set_up(bench: Bench) -> Lab:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class ProbabilityHistory:
     """One grasp's answer over time; row i of `probabilities` was known `times_s[i]` after contact."""
 
-    case: Case
+    case: GraspCase
     times_s: np.ndarray  # (steps,)
     probabilities: np.ndarray  # (steps, M + 1)
     record: GraspRecord
     labels: tuple[str, ...]  # named within the grasp, in their order
     thickness_m: float
     log_parameters: np.ndarray  # (3,) the specimen's own
-    grasp: Grasp | None = None
+    grasp: SimulatedGrasp | None = None
 
-    def at(self, time_s: float) -> np.ndarray:
+    def probabilities_at(self, time_s: float) -> np.ndarray:
         """Probabilities, (M + 1,), as known at a time after contact; the first ones where contact was not known yet."""
         known = int(np.searchsorted(self.times_s, time_s + 1e-9, side="right")) - 1
         return self.probabilities[max(known, 0)]
 
 
-def follow(bench: Bench, case: Case) -> Course:
+def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistory:
     """Simulate a grasp and give it to an estimation session, as a run does."""
-    lab = set_up(bench)
-    grasp = simulate(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
-    session = EstimationSession(lab.tool, lab.library, lab.settings)
+    lab = load_study_setup(bench)
+    grasp = simulate_grasp(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
+    session = TissueEstimator(lab.tool, lab.library, lab.settings)
     samples = grasp.samples
     rows, ticks, labels, record = [], [], [], None
     for begin in range(0, len(samples), lab.tool.board.block_samples):
@@ -92,7 +92,7 @@ def follow(bench: Bench, case: Case) -> Course:
     record = record or session.finish()
     assert record is not None, "a protocol commands a grasp"
     material = grasp.specimen.material
-    return Course(
+    return ProbabilityHistory(
         case,
         np.array(ticks) / lab.tool.board.sample_rate_hz - (record.contact_s or 0.0) if rows else np.zeros(1),
         np.array(rows) if rows else np.fromiter(record.probabilities.values(), float)[None],
@@ -104,10 +104,10 @@ def follow(bench: Bench, case: Case) -> Course:
     )
 
 
-def same_number_of_each(library: TissueLibrary, grasps: int, seed: int, **changes) -> list[Case]:
+def build_balanced_cases(library: TissueLibrary, grasps: int, seed: int, **changes) -> list[GraspCase]:
     """`grasps` cases of every tissue of the library; each has its own seed."""
     return [
-        Case(tissue, seed * 1_000_000 + number * 10_000 + grasp, **changes)
+        GraspCase(tissue, seed * 1_000_000 + number * 10_000 + grasp, **changes)
         for number, tissue in enumerate(library.tissues)
         for grasp in range(grasps)
     ]

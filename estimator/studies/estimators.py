@@ -6,28 +6,28 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import plotly.graph_objects as go
 
-from estimator.identifier import BankIdentifier, Identifier, contact_of
+from estimator.identifier import BankIdentifier, TissueIdentifier, build_contact_start
 from estimator.rivals.particle import ParticleIdentifier
-from estimator.rivals.printed import PrintedIdentifier
-from estimator.rivals.unscented import unscented_identifier
-from estimator.studies.course import Bench, Lab, same_number_of_each, set_up
-from estimator.studies.grasps import Case, Grasp, held_samples, simulate
-from estimator.studies.measures import bayes_limit, reliability, score
-from estimator.studies.report import PALETTE, Figure, Study, Table
+from estimator.rivals.printed import PaperIdentifier
+from estimator.rivals.unscented import build_unscented_identifier
+from estimator.studies.course import StudyConditions, StudySetup, build_balanced_cases, load_study_setup
+from estimator.studies.grasps import GraspCase, SimulatedGrasp, extract_contact_samples, simulate_grasp
+from estimator.studies.measures import bayes_limit, compute_reliability, score_answers
+from estimator.studies.report import PALETTE, KeyFigure, StudyResult, Table
 from estimator.studies.runner import Progress, run_cases
 
 TIMES_S = (0.1, 0.15, 0.3)
 OURS = "ours"
-MAKERS = {
-    OURS: BankIdentifier.of,
-    "extended, as printed": PrintedIdentifier,
-    "unscented": unscented_identifier,
+IDENTIFIER_FACTORIES = {
+    OURS: BankIdentifier.from_tool,
+    "extended, as printed": PaperIdentifier,
+    "unscented": build_unscented_identifier,
     "particle": ParticleIdentifier,
 }
 
 
 @dataclass(frozen=True, slots=True)
-class _Outcome:
+class _EstimatorOutcome:
     tissue: str
     limit: np.ndarray  # (M,)
     probabilities: np.ndarray  # (estimators, len(TIMES_S), M + 1)
@@ -35,17 +35,19 @@ class _Outcome:
     cost_us: np.ndarray  # (estimators,) a sample
 
 
-def estimators(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int | None = None) -> Study:
+def run_estimators_study(
+    bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
+) -> StudyResult:
     """Run the study: `grasps` of each tissue, everyone on the same ones, thickness left out."""
-    library = set_up(bench).library
+    library = load_study_setup(bench).library
     names = [*library.tissues]
-    cases = [(bench, case) for case in same_number_of_each(library, grasps, seed)]
-    outcomes = run_cases(_outcome, cases, progress, jobs)
+    cases = [(bench, case) for case in build_balanced_cases(library, grasps, seed)]
+    outcomes = run_cases(_evaluate_case, cases, progress, jobs)
     truth = np.array([names.index(o.tissue) for o in outcomes])
     limit = float(np.mean([o.limit.argmax() == t for o, t in zip(outcomes, truth, strict=True)]))
     answers = np.array([o.probabilities for o in outcomes])  # (n, estimators, times, M + 1)
     cost = np.median([o.cost_us for o in outcomes], axis=0)
-    study = Study(
+    study = StudyResult(
         "estimators",
         "Which filter",
         {**asdict(bench), "grasps of each tissue": grasps, "seed": seed},
@@ -55,9 +57,9 @@ def estimators(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: i
         "while the other cores are busy too. The default is ours as long as nobody is better at a bearable cost.",
     )
     rows = []
-    for e, name in enumerate(MAKERS):
+    for e, name in enumerate(IDENTIFIER_FACTORIES):
         for i, at in enumerate(TIMES_S):
-            found = score(answers[:, e, i], truth)
+            found = score_answers(answers[:, e, i], truth)
             rows.append(
                 [
                     f"{name}, {at:g} s",
@@ -69,15 +71,15 @@ def estimators(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: i
                     float(cost[e]),
                 ]
             )
-    last = [score(answers[:, e, -1], truth) for e in range(len(MAKERS))]
-    best = min(range(len(MAKERS)), key=lambda e: last[e].log_loss)
+    last = [score_answers(answers[:, e, -1], truth) for e in range(len(IDENTIFIER_FACTORIES))]
+    best = min(range(len(IDENTIFIER_FACTORIES)), key=lambda e: last[e].log_loss)
     study.figures = [
-        Figure("Bayes limit", 100 * limit, "%", note="without thickness"),
+        KeyFigure("Bayes limit", 100 * limit, "%", note="without thickness"),
         *(
-            Figure(f"share right at 0.3 s: {name}", 100 * last[e].accuracy, "%", note=f"{cost[e]:.3g} µs a sample")
-            for e, name in enumerate(MAKERS)
+            KeyFigure(f"share right at 0.3 s: {name}", 100 * last[e].accuracy, "%", note=f"{cost[e]:.3g} µs a sample")
+            for e, name in enumerate(IDENTIFIER_FACTORIES)
         ),
-        Figure("lowest log loss at 0.3 s", last[best].log_loss, "", note=[*MAKERS][best]),
+        KeyFigure("lowest log loss at 0.3 s", last[best].log_loss, "", note=[*IDENTIFIER_FACTORIES][best]),
     ]
     columns = [
         "estimator, after contact",
@@ -89,7 +91,7 @@ def estimators(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: i
         "µs a sample",
     ]
     error_rows = []
-    for e, name in enumerate(MAKERS):
+    for e, name in enumerate(IDENTIFIER_FACTORIES):
         errors = np.array([o.error[e] for o in outcomes])
         error_rows.append(
             [
@@ -105,21 +107,22 @@ def estimators(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: i
             ["estimator", "alpha", "beta", "d", "without an estimate"],
             error_rows,
         ),
-        ("Reliability at 0.3 s", _reliability(answers[:, :, -1], truth)),
+        ("Reliability at 0.3 s", _plot_reliability(answers[:, :, -1], truth)),
     ]
     return study
 
 
-def _outcome(job: tuple[Bench, Case]) -> _Outcome:
+def _evaluate_case(job: tuple[StudyConditions, GraspCase]) -> _EstimatorOutcome:
     bench, case = job
-    lab = set_up(bench)
-    grasp = simulate(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
+    lab = load_study_setup(bench)
+    grasp = simulate_grasp(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
     material = grasp.specimen.material
     truth = np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s])
     found = [
-        _follow(make(lab.tool, lab.library, lab.settings.identification), lab, bench, grasp) for make in MAKERS.values()
+        _run_identifier(make(lab.tool, lab.library, lab.settings.identification), lab, bench, grasp)
+        for make in IDENTIFIER_FACTORIES.values()
     ]
-    return _Outcome(
+    return _EstimatorOutcome(
         case.tissue,
         bayes_limit(lab.library, truth, None),
         np.array([probabilities for probabilities, _, _ in found]),
@@ -128,10 +131,12 @@ def _outcome(job: tuple[Bench, Case]) -> _Outcome:
     )
 
 
-def _follow(identifier: Identifier, lab: Lab, bench: Bench, grasp: Grasp) -> tuple[list[np.ndarray], np.ndarray, float]:
+def _run_identifier(
+    identifier: TissueIdentifier, lab: StudySetup, bench: StudyConditions, grasp: SimulatedGrasp
+) -> tuple[list[np.ndarray], np.ndarray, float]:
     """Probabilities at each time, log parameters at the last, and microseconds a sample, compilation left out."""
-    samples = held_samples(grasp)
-    contact = contact_of(samples[0], 0.0, sensed=bench.touch)
+    samples = extract_contact_samples(grasp)
+    contact = build_contact_start(samples[0], 0.0, contact_sensed=bench.touch)
     identifier.start(samples[0], contact)
     identifier.advance(samples[1:6])  # compiled now
     identifier.start(samples[0], contact)
@@ -147,12 +152,12 @@ def _follow(identifier: Identifier, lab: Lab, bench: Bench, grasp: Grasp) -> tup
     return probabilities, identifier.log_parameters(), 1e6 * spent_s / max(done - 1, 1)
 
 
-def _reliability(answers: np.ndarray, truth: np.ndarray) -> go.Figure:
+def _plot_reliability(answers: np.ndarray, truth: np.ndarray) -> go.Figure:
     figure = go.Figure()
     figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", name="honest", line={"dash": "dash", "color": "#999999"})
-    for e, name in enumerate(MAKERS):
+    for e, name in enumerate(IDENTIFIER_FACTORIES):
         confidence, right = answers[:, e].max(axis=1), answers[:, e].argmax(axis=1) == truth
-        mean, share, number = reliability(confidence, right)
+        mean, share, number = compute_reliability(confidence, right)
         figure.add_scatter(
             x=mean,
             y=share,

@@ -4,58 +4,60 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.pipeline import Pipeline
+from acquisition.pipeline import ConditioningPipeline
 from acquisition.protocol import ProtocolPlayer
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.simulation.tissue import EXACT, Deviation, Specimen
+from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation, Specimen
 from acquisition.source import RawBlock
-from config.schema import Conditioning, Protocol, TissueLibrary, Tool
-from estimator.constants import RELEASED_PEAK_N, RELEASED_SHARE
+from config.schema import ConditioningSettings, GraspProtocol, TissueLibrary, Tool
+from estimator.constants import JAW_OPENING_SHARE, MIN_PEAK_BEFORE_OPENING_N
 
-UNSENSED_RISE_V = 0.02  # as the shipped tools without trusted touch sensors
-FELT_SAMPLES = 5
+FORCE_CONTACT_RISE_V = 0.02  # as the shipped tools without trusted touch sensors
+FORCE_MEAN_SAMPLES = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class GraspCase:
     """One grasp to simulate."""
 
     tissue: str
     seed: int
-    deviation: Deviation = EXACT
-    held: TissueLibrary | None = None  # where `tissue` is from, if not from the library
+    deviation: ModelDeviation = NO_DEVIATION
+    tissue_library: TissueLibrary | None = None  # where `tissue` is from, if not from the library
 
 
 @dataclass(frozen=True, slots=True)
-class Grasp:
+class SimulatedGrasp:
     """A simulated grasp: conditioned samples of dtype SAMPLE, and what was held."""
 
     samples: np.ndarray
     specimen: Specimen
 
 
-def simulate(tool: Tool, library: TissueLibrary, conditioning: Conditioning, protocol: Protocol, case: Case) -> Grasp:
+def simulate_grasp(
+    tool: Tool, library: TissueLibrary, conditioning: ConditioningSettings, protocol: GraspProtocol, case: GraspCase
+) -> SimulatedGrasp:
     """Play one cycle of `protocol` on the simulated grasper and condition what its sensors give."""
     block = tool.board.block_samples
     player = ProtocolPlayer(protocol, tool, 1)
     commands: list[float] = []
     while not player.done:
-        commands += [player.advance(block)] * block
-    grasper = SimulatedGrasper(tool, case.held or library, case.tissue, case.seed, case.deviation)
+        commands += [player.next_command(block)] * block
+    grasper = SimulatedGrasper(tool, case.tissue_library or library, case.tissue, case.seed, case.deviation)
     strain_v, encoder_deg, touch_1_v, touch_2_v = np.array([grasper.step(command) for command in commands]).T
     raw = RawBlock(0, 0, strain_v, encoder_deg, np.array(commands), touch_1_v, touch_2_v)
-    return Grasp(Pipeline(tool, conditioning).process(raw).samples, grasper.specimen)
+    return SimulatedGrasp(ConditioningPipeline(tool, conditioning).process(raw).samples, grasper.specimen)
 
 
-def held_samples(grasp: Grasp) -> np.ndarray:
+def extract_contact_samples(grasp: SimulatedGrasp) -> np.ndarray:
     """The samples from first contact until the jaws let go, as the estimator learns from them."""
     samples = grasp.samples
     held = np.flatnonzero(samples["contact_tick"] >= 0)
     begin = int(np.searchsorted(samples["tick"], samples["contact_tick"][held[0]]))
     samples = samples[begin : int(held[-1]) + 1]
-    felt_n = np.convolve(samples["jaw_force_n"], np.full(FELT_SAMPLES, 1 / FELT_SAMPLES), "valid")
+    felt_n = np.convolve(samples["jaw_force_n"], np.full(FORCE_MEAN_SAMPLES, 1 / FORCE_MEAN_SAMPLES), "valid")
     peak_n = np.maximum.accumulate(felt_n)
-    released = np.flatnonzero((peak_n > RELEASED_PEAK_N) & (felt_n < RELEASED_SHARE * peak_n))
+    released = np.flatnonzero((peak_n > MIN_PEAK_BEFORE_OPENING_N) & (felt_n < JAW_OPENING_SHARE * peak_n))
     return samples[: int(released[0])] if len(released) else samples
 
 
@@ -66,5 +68,5 @@ def with_noise(tool: Tool, strain_sd_v: float) -> Tool:
 
 def without_touch(tool: Tool) -> Tool:
     """The tool whose contact is found from force and motion alone, as on the rig of 2013."""
-    blind = {"touch_trusted": False, "force_rise_v": UNSENSED_RISE_V}
+    blind = {"touch_trusted": False, "force_rise_v": FORCE_CONTACT_RISE_V}
     return tool.model_copy(update={"contact": tool.contact.model_copy(update=blind)})

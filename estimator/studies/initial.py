@@ -5,48 +5,52 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import plotly.graph_objects as go
 
-from estimator.bank import Bank, Priors, strict_and_lenient
+from estimator.bank import FilterBank, TissuePriors, build_filter_tunings
 from estimator.criteria import convergence_samples
 from estimator.filter import PARAMETERS, X
-from estimator.identifier import bank_columns, contact_of
+from estimator.identifier import bank_columns, build_contact_start
 from estimator.model import force_curve
-from estimator.rivals.printed import FILTERED_NOISE, GUESS_SHARE_SD, PrintedBank, PrintedNoise
-from estimator.studies.course import Bench, set_up
-from estimator.studies.grasps import Case, held_samples, simulate
-from estimator.studies.report import Figure, Study, Table
+from estimator.rivals.printed import FILTERED_NOISE_SHARE, GUESS_SHARE_SD, PaperFilterBank, PaperNoise
+from estimator.studies.course import StudyConditions, load_study_setup
+from estimator.studies.grasps import GraspCase, extract_contact_samples, simulate_grasp
+from estimator.studies.report import KeyFigure, StudyResult, Table
 from estimator.studies.runner import Progress, run_cases
 
 FACTORS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-WITHIN_S = 0.3
-STEP = 5  # samples after which the likeliest filter is chosen anew
+MAX_CONVERGENCE_S = 0.3
+STEP_SAMPLES = 5  # samples after which the likeliest filter is chosen anew
 
 # A guess that may be off by ten either way is a prior as wide as that; a fan of filters covers it, each a part.
-FAN = np.log(10.0) * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-FAN_LOG_SD = np.array([0.6, 0.6, 1.0])  # half of the fan's spacing, and damping within a factor of 2.7
+LOG_GUESS_OFFSETS = np.log(10.0) * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+GUESS_LOG_SD = np.array([0.6, 0.6, 1.0])  # half of the fan's spacing, and damping within a factor of 2.7
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    bench: Bench
-    case: Case
+    bench: StudyConditions
+    case: GraspCase
     alpha_factor: float
     beta_factor: float
 
 
-def initial(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int | None = None) -> Study:
+def run_initial_study(
+    bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
+) -> StudyResult:
     """Run the study: `grasps` of every tissue from each pair of wrong guesses."""
-    library = set_up(bench).library
+    library = load_study_setup(bench).library
     names = [*library.tissues]
     work = [
-        _Job(bench, Case(name, seed * 1_000_000 + 700_000 + 1_000 * k + i), a, b)
+        _Job(bench, GraspCase(name, seed * 1_000_000 + 700_000 + 1_000 * k + i), a, b)
         for k, name in enumerate(names)
         for a in FACTORS
         for b in FACTORS
         for i in range(grasps)
     ]
-    times = np.array(run_cases(_convergence, work, progress, jobs))  # (jobs, 3): ours, paper's sure, paper's unsure
-    shares = (times <= WITHIN_S).reshape(len(names), len(FACTORS), len(FACTORS), grasps, 3)
-    study = Study(
+    times = np.array(
+        run_cases(_measure_convergence, work, progress, jobs)
+    )  # (jobs, 3): ours, paper's sure, paper's unsure
+    shares = (times <= MAX_CONVERGENCE_S).reshape(len(names), len(FACTORS), len(FACTORS), grasps, 3)
+    study = StudyResult(
         "initial",
         "Wrong initial guesses",
         {**asdict(bench), "grasps of each tissue and pair of factors": grasps, "seed": seed},
@@ -59,11 +63,11 @@ def initial(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int 
     )
     ours, sure, unsure = (100 * float(shares[..., i].mean()) for i in range(3))
     study.figures = [
-        Figure("converged within 0.3 s, ours", ours, "%", at_least=99.0),
-        Figure("the paper's filter, P0 as for close guesses", sure, "%"),
-        Figure("the paper's filter, P0 as large as the guesses", unsure, "%"),
-        *(Figure(f"ours, {name}", 100 * float(shares[k, ..., 0].mean()), "%") for k, name in enumerate(names)),
-        Figure("median convergence, ours", float(np.nanmedian(times[:, 0])), "s"),
+        KeyFigure("converged within 0.3 s, ours", ours, "%", at_least=99.0),
+        KeyFigure("the paper's filter, P0 as for close guesses", sure, "%"),
+        KeyFigure("the paper's filter, P0 as large as the guesses", unsure, "%"),
+        *(KeyFigure(f"ours, {name}", 100 * float(shares[k, ..., 0].mean()), "%") for k, name in enumerate(names)),
+        KeyFigure("median convergence, ours", float(np.nanmedian(times[:, 0])), "s"),
     ]
     columns = ["tissue", "ours", "paper's filter, sure of its guess", "paper's filter, unsure"]
     study.parts.append(
@@ -74,14 +78,16 @@ def initial(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int 
         )
     )
     for title, i in (("ours", 0), ("the paper's filter, sure of its guess", 1)):
-        study.parts.append((f"Share converged within 0.3 s: {title}", _map(shares[..., i].mean(axis=(0, 3)))))
+        study.parts.append((f"Share converged within 0.3 s: {title}", _plot_heatmap(shares[..., i].mean(axis=(0, 3)))))
     return study
 
 
-def _convergence(job: _Job) -> np.ndarray:
+def _measure_convergence(job: _Job) -> np.ndarray:
     """Seconds from contact to convergence, (3,): ours, the paper's filter with a small and a large P0; NaN if never."""
-    lab = set_up(job.bench)
-    samples = held_samples(simulate(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, job.case))
+    lab = load_study_setup(job.bench)
+    samples = extract_contact_samples(
+        simulate_grasp(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, job.case)
+    )
     profile = lab.library.tissues[job.case.tissue]
     guess = np.array(
         [profile.alpha_n * job.alpha_factor, profile.beta_per_m * job.beta_factor, profile.damping_kg_per_s]
@@ -89,45 +95,45 @@ def _convergence(job: _Job) -> np.ndarray:
     bound_n = lab.settings.identification.convergence_error * float(samples["jaw_force_filtered_n"].max())
     rate_hz = lab.tool.board.sample_rate_hz
     until = int(np.argmax(samples["jaw_force_filtered_n"])) + 1
-    until = max(until, round(2 * WITHIN_S * rate_hz))
-    ours = _ours(job, guess, samples) - samples["jaw_force_n"][1:]
+    until = max(until, round(2 * MAX_CONVERGENCE_S * rate_hz))
+    ours = _run_filter_fan(job, guess, samples) - samples["jaw_force_n"][1:]
     errors_n = [ours[:until]]
     first = samples[0]
-    sensor_v = FILTERED_NOISE * lab.tool.noise.strain_sd_v
-    noise = PrintedNoise(sensor_v * float(first["newton_per_volt"]), sensor_v * abs(float(first["metre_per_volt"])))
+    sensor_v = FILTERED_NOISE_SHARE * lab.tool.noise.strain_sd_v
+    noise = PaperNoise(sensor_v * float(first["newton_per_volt"]), sensor_v * abs(float(first["metre_per_volt"])))
     force_n = np.ascontiguousarray(samples["jaw_force_filtered_n"])
     displacement_m = samples["jaw_displacement_filtered_m"] - first["jaw_displacement_filtered_m"]
     for share in (GUESS_SHARE_SD, np.ones(3)):
-        paper = PrintedBank(guess[None], lab.library.mass_kg, 1 / rate_hz, noise, guess_share_sd=share)
+        paper = PaperFilterBank(guess[None], lab.library.mass_kg, 1 / rate_hz, noise, guess_share_sd=share)
         paper.start(float(force_n[0]))
         _, elastic_n = paper.advance(force_n[1:], displacement_m[1:])
         errors_n.append((elastic_n[:, 0] - force_n[1:])[:until])
     return convergence_samples(np.column_stack(errors_n), bound_n) / rate_hz
 
 
-def _ours(job: _Job, guess: np.ndarray, samples: np.ndarray) -> np.ndarray:
+def _run_filter_fan(job: _Job, guess: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """Elastic force of the likeliest filter of the fan after each sample, N, (n - 1,)."""
-    lab = set_up(job.bench)
-    around = np.array([[a, b, 0.0] for a in FAN for b in FAN])
+    lab = load_study_setup(job.bench)
+    around = np.array([[a, b, 0.0] for a in LOG_GUESS_OFFSETS for b in LOG_GUESS_OFFSETS])
     names = tuple(f"{i}" for i in range(len(around)))
-    priors = Priors(names, np.log(guess) + around, np.tile(FAN_LOG_SD, (len(around), 1)), lab.library.mass_kg)
-    bank = Bank(priors, strict_and_lenient(lab.tool), widening=1.0)
-    contact = contact_of(samples[0], 0.0, sensed=job.bench.touch)
+    priors = TissuePriors(names, np.log(guess) + around, np.tile(GUESS_LOG_SD, (len(around), 1)), lab.library.mass_kg)
+    bank = FilterBank(priors, build_filter_tunings(lab.tool), widening=1.0)
+    contact = build_contact_start(samples[0], 0.0, contact_sensed=job.bench.touch)
     bank.start(contact)
     dt_s = 1.0 / lab.tool.board.sample_rate_hz
     columns = bank_columns(samples[1:], float(samples["jaw_displacement_m"][0]), int(samples["tick"][0]), dt_s)
     elastic_n = np.full(len(columns), np.nan)
-    for begin in range(0, len(columns), STEP):
-        mean, _ = bank.advance(columns[begin : begin + STEP])
-        best = bank.best()
+    for begin in range(0, len(columns), STEP_SAMPLES):
+        mean, _ = bank.advance(columns[begin : begin + STEP_SAMPLES])
+        best = bank.find_most_likely()
         if best >= 0:
             own = mean[:, best % len(names)]
             parameters = np.exp(own[:, PARAMETERS])
-            elastic_n[begin : begin + STEP] = force_curve(parameters[:, 0], parameters[:, 1], own[:, X])
+            elastic_n[begin : begin + STEP_SAMPLES] = force_curve(parameters[:, 0], parameters[:, 1], own[:, X])
     return elastic_n
 
 
-def _map(shares: np.ndarray) -> go.Figure:
+def _plot_heatmap(shares: np.ndarray) -> go.Figure:
     labels = [f"{factor:g}" for factor in FACTORS]
     figure = go.Figure(
         go.Heatmap(

@@ -5,22 +5,22 @@ from enum import StrEnum
 
 import numpy as np
 
-from acquisition.limiter import FOLLOW_S
-from acquisition.simulation.tissue import EXACT, Deviation
+from acquisition.limiter import THRESHOLD_SETTLING_S
+from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
 from config.schema import TissueLibrary, Tool
 
 HOLD_S = 0.5
-WANTED_N = (0.5, 5.0)
-SLOWEST_V_PER_S = 4.0
-STRENGTHS = (1 / 1.5, 1.5)
-FORCE_SCALES = (0.97, 1.03)
-MOST_FRICTION, MOST_BACKLASH_M = 0.05, 100e-6
+REQUESTED_FORCE_RANGE_N = (0.5, 5.0)
+MIN_RAMP_V_PER_S = 4.0
+GAIN_RATIO_RANGE = (1 / 1.5, 1.5)
+FORCE_SCALE_RANGE = (0.97, 1.03)
+MAX_FRICTION_SHARE, MAX_BACKLASH_M = 0.05, 100e-6
 SPREADS, NOISES = (1.0, 2.0), (1.0, 3.0)
-FAST_V_PER_S = 20.0
-REPEATED = 2
+FAST_RAMP_V_PER_S = 20.0
+GRASPS_PER_CASE = 2
 
 
-class Told(StrEnum):
+class ThresholdScenario(StrEnum):
     """What the limiter is told of the tissue."""
 
     RIGHT = "by the estimator"
@@ -41,73 +41,80 @@ class LimitedCase:
 
     tissue: str
     seed: int
-    told: Told
-    told_tissue: str  # whose threshold is told where it is not the estimator that tells
-    turn_s: float
-    wanted_n: float
-    rise_v_per_s: float
-    spread: float = 1.0
-    noise: float = 1.0
-    strength: float = 1.0
-    lags: float = 1.0
-    deviation: Deviation = EXACT
+    scenario: ThresholdScenario
+    reported_tissue: str  # whose threshold is told where it is not the estimator that tells
+    change_s: float
+    requested_force_n: float
+    ramp_v_per_s: float
+    spread_factor: float = 1.0
+    noise_factor: float = 1.0
+    gain_ratio: float = 1.0
+    lag_factor: float = 1.0
+    deviation: ModelDeviation = NO_DEVIATION
     grasps: int = 1
 
 
 # What no limiter can know in time, or at all: told separately.
-BEYOND = {
-    "tool 1.75 times as strong as its map": {"strength": 1.75},
-    "tool twice as strong": {"strength": 2.0},
-    "tool 2.5 times as strong": {"strength": 2.5},
-    "tool half as strong": {"strength": 0.5},
-    "drive and tissue twice as quick": {"lags": 0.5},
-    "drive and tissue half as slow again": {"lags": 1.5},
-    "gage that reads 10 % short": {"deviation": Deviation(force_scale=0.9)},
+OUT_OF_BOUNDS = {
+    "tool 1.75 times as strong as its map": {"gain_ratio": 1.75},
+    "tool twice as strong": {"gain_ratio": 2.0},
+    "tool 2.5 times as strong": {"gain_ratio": 2.5},
+    "tool half as strong": {"gain_ratio": 0.5},
+    "drive and tissue twice as quick": {"lag_factor": 0.5},
+    "drive and tissue half as slow again": {"lag_factor": 1.5},
+    "gage that reads 10 % short": {"deviation": ModelDeviation(force_scale=0.9)},
 }
 
 
-def draw(library: TissueLibrary, tool: Tool, of_each: int, seed: int) -> list[LimitedCase]:
+def draw_cases(library: TissueLibrary, tool: Tool, grasps_per_tissue: int, seed: int) -> list[LimitedCase]:
     """`of_each` grasps of every tissue, over everything at random; ways of being told in turn."""
-    names, ways = list(library.tissues), list(Told)
+    names, ways = list(library.tissues), list(ThresholdScenario)
     return [
-        _draw(library, tool, names[i % len(names)], ways[i // len(names) % len(ways)], seed, i)
-        for i in range(of_each * len(names))
+        _draw_case(library, tool, names[i % len(names)], ways[i // len(names) % len(ways)], seed, i)
+        for i in range(grasps_per_tissue * len(names))
     ]
 
 
-def beyond(cases: list[LimitedCase], each: int) -> dict[str, list[LimitedCase]]:
+def build_out_of_bounds_cases(cases: list[LimitedCase], each: int) -> dict[str, list[LimitedCase]]:
     """The first `each` cases with one thing beyond what is to be held: two grasps in a row, on fast ramps."""
-    fast = [replace(case, rise_v_per_s=max(case.rise_v_per_s, FAST_V_PER_S), told=Told.WRONG) for case in cases[:each]]
-    alike = [replace(case, strength=1.0, grasps=REPEATED) for case in fast]
-    return {kind: [replace(case, **changes) for case in alike] for kind, changes in BEYOND.items()}
+    fast = [
+        replace(case, ramp_v_per_s=max(case.ramp_v_per_s, FAST_RAMP_V_PER_S), scenario=ThresholdScenario.WRONG)
+        for case in cases[:each]
+    ]
+    alike = [replace(case, gain_ratio=1.0, grasps=GRASPS_PER_CASE) for case in fast]
+    return {kind: [replace(case, **changes) for case in alike] for kind, changes in OUT_OF_BOUNDS.items()}
 
 
-def _draw(library: TissueLibrary, tool: Tool, tissue: str, told: Told, seed: int, number: int) -> LimitedCase:
+def _draw_case(
+    library: TissueLibrary, tool: Tool, tissue: str, told: ThresholdScenario, seed: int, number: int
+) -> LimitedCase:
     rng = np.random.default_rng([seed, number])
-    wanted_n, fastest_v_per_s = float(rng.uniform(*WANTED_N)), tool.limits.max_command_v_per_s
-    rise_v_per_s = min(float(np.exp(rng.uniform(np.log(SLOWEST_V_PER_S), np.log(fastest_v_per_s)))), fastest_v_per_s)
-    ramp_s = float(tool.command_to_force.command(wanted_n)) / rise_v_per_s
+    wanted_n, fastest_v_per_s = float(rng.uniform(*REQUESTED_FORCE_RANGE_N)), tool.limits.max_command_v_per_s
+    rise_v_per_s = min(float(np.exp(rng.uniform(np.log(MIN_RAMP_V_PER_S), np.log(fastest_v_per_s)))), fastest_v_per_s)
+    ramp_s = float(tool.command_to_force.to_command_v(wanted_n)) / rise_v_per_s
     return LimitedCase(
         tissue,
         seed * 1_000_000 + number,
         told,
-        _told_tissue(library, tissue, told, rng),
-        turn_s=float(rng.uniform(0.0, ramp_s + HOLD_S - 3 * FOLLOW_S)),
-        wanted_n=wanted_n,
-        rise_v_per_s=rise_v_per_s,
-        spread=float(rng.choice(SPREADS)),
-        noise=float(rng.choice(NOISES)),
-        strength=float(np.exp(rng.uniform(*np.log(STRENGTHS)))),
-        deviation=Deviation(
-            force_scale=float(rng.uniform(*FORCE_SCALES)),
-            friction_share=float(rng.uniform(0.0, MOST_FRICTION)),
-            backlash_m=float(rng.uniform(0.0, MOST_BACKLASH_M)),
+        _choose_reported_tissue(library, tissue, told, rng),
+        change_s=float(rng.uniform(0.0, ramp_s + HOLD_S - 3 * THRESHOLD_SETTLING_S)),
+        requested_force_n=wanted_n,
+        ramp_v_per_s=rise_v_per_s,
+        spread_factor=float(rng.choice(SPREADS)),
+        noise_factor=float(rng.choice(NOISES)),
+        gain_ratio=float(np.exp(rng.uniform(*np.log(GAIN_RATIO_RANGE)))),
+        deviation=ModelDeviation(
+            force_scale=float(rng.uniform(*FORCE_SCALE_RANGE)),
+            friction_share=float(rng.uniform(0.0, MAX_FRICTION_SHARE)),
+            backlash_m=float(rng.uniform(0.0, MAX_BACKLASH_M)),
         ),
     )
 
 
-def _told_tissue(library: TissueLibrary, tissue: str, told: Told, rng: np.random.Generator) -> str:
+def _choose_reported_tissue(
+    library: TissueLibrary, tissue: str, told: ThresholdScenario, rng: np.random.Generator
+) -> str:
     """One with a higher threshold; the highest where there is none, or where it is to fall."""
     by_threshold = sorted(library.tissues, key=library.threshold_n)
     higher = [name for name in by_threshold if library.threshold_n(name) > library.threshold_n(tissue)]
-    return by_threshold[-1] if told is Told.WITHDRAWN or not higher else str(rng.choice(higher))
+    return by_threshold[-1] if told is ThresholdScenario.WITHDRAWN or not higher else str(rng.choice(higher))

@@ -7,8 +7,8 @@ import numpy as np
 
 from config.schema import TissueLibrary
 
-CONFIDENT = 0.95
-BINS = 10
+CONFIDENCE_THRESHOLD = 0.95
+BIN_COUNT = 10
 
 
 def bayes_limit(library: TissueLibrary, log_parameters: np.ndarray, thickness_m: float | None) -> np.ndarray:
@@ -39,37 +39,37 @@ class Score:
     log_loss: float  # mean negative log probability of the truth
 
 
-def score(probabilities: np.ndarray, truth: np.ndarray) -> Score:
+def score_answers(probabilities: np.ndarray, truth: np.ndarray) -> Score:
     """`probabilities` (n, M + 1), `truth` (n,) index of the right answer."""
     confidence, right = probabilities.max(axis=1), probabilities.argmax(axis=1) == truth
     of_truth = probabilities[np.arange(len(truth)), truth]
     return Score(
         accuracy=float(right.mean()),
         calibration_error=calibration_error(confidence, right),
-        confident_wrong=float((~right & (confidence >= CONFIDENT)).mean()),
-        confident=float((confidence >= CONFIDENT).mean()),
+        confident_wrong=float((~right & (confidence >= CONFIDENCE_THRESHOLD)).mean()),
+        confident=float((confidence >= CONFIDENCE_THRESHOLD).mean()),
         log_loss=float(-np.log(np.maximum(of_truth, 1e-12)).mean()),
     )
 
 
-def reliability(confidence: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compute_reliability(confidence: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For ten equal bins of confidence: mean confidence, share right, number; NaN where a bin is empty."""
-    which = np.minimum((confidence * BINS).astype(int), BINS - 1)
-    number = np.bincount(which, minlength=BINS)
+    which = np.minimum((confidence * BIN_COUNT).astype(int), BIN_COUNT - 1)
+    number = np.bincount(which, minlength=BIN_COUNT)
     with np.errstate(invalid="ignore"):
-        mean = np.bincount(which, confidence, BINS) / number
-        share = np.bincount(which, right.astype(float), BINS) / number
+        mean = np.bincount(which, confidence, BIN_COUNT) / number
+        share = np.bincount(which, right.astype(float), BIN_COUNT) / number
     return mean, share, number
 
 
 def calibration_error(confidence: np.ndarray, right: np.ndarray) -> float:
     """Expected calibration error over ten equal bins."""
-    mean, share, number = reliability(confidence, right)
+    mean, share, number = compute_reliability(confidence, right)
     filled = number > 0
     return float(np.sum(number[filled] * np.abs(mean - share)[filled]) / len(confidence))
 
 
-def confusion(probabilities: np.ndarray, truth: np.ndarray, answers: int) -> np.ndarray:
+def compute_confusion_matrix(probabilities: np.ndarray, truth: np.ndarray, answers: int) -> np.ndarray:
     """Share of each truth (rows) that gets each answer (columns)."""
     table = np.zeros((int(truth.max()) + 1, answers))
     np.add.at(table, (truth, probabilities.argmax(axis=1)), 1.0)

@@ -5,31 +5,39 @@ from dataclasses import asdict, replace
 import numpy as np
 import plotly.graph_objects as go
 
-from estimator.studies.course import Bench, Course, follow, same_number_of_each, set_up
-from estimator.studies.measures import Score, score
-from estimator.studies.report import PALETTE, Figure, Study, Table
+from estimator.studies.course import (
+    ProbabilityHistory,
+    StudyConditions,
+    build_balanced_cases,
+    estimate_grasp,
+    load_study_setup,
+)
+from estimator.studies.measures import Score, score_answers
+from estimator.studies.report import PALETTE, KeyFigure, StudyResult, Table
 from estimator.studies.runner import Progress, run_cases
 from estimator.studies.truths import MISMATCHES
 
-MATCHED, UNSENSED = "matched", "contact not sensed"
-MOST_POINTS, MOST_CALIBRATION_ERROR = 10.0, 0.10
+MATCHED, CONTACT_NOT_SENSED = "matched", "contact not sensed"
+MAX_POINTS_BEHIND, MAX_CALIBRATION_ERROR = 10.0, 0.10
 
 
-def mismatch(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int | None = None) -> Study:
+def run_mismatch_study(
+    bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
+) -> StudyResult:
     """Run the study: `grasps` of each tissue with each mismatch, the same specimens every time."""
-    library = set_up(bench).library
+    library = load_study_setup(bench).library
     names = [*library.tissues]
-    kinds = [*MISMATCHES, UNSENSED]
+    kinds = [*MISMATCHES, CONTACT_NOT_SENSED]
     cases = [
-        (replace(bench, touch=bench.touch and kind != UNSENSED), case)
+        (replace(bench, touch=bench.touch and kind != CONTACT_NOT_SENSED), case)
         for kind in kinds
-        for case in same_number_of_each(library, grasps, seed, deviation=MISMATCHES.get(kind, MISMATCHES[MATCHED]))
+        for case in build_balanced_cases(library, grasps, seed, deviation=MISMATCHES.get(kind, MISMATCHES[MATCHED]))
     ]
-    answers = run_cases(_answer, cases, progress, jobs)
+    answers = run_cases(_evaluate_case, cases, progress, jobs)
     truth = np.array([names.index(case.tissue) for _, case in cases[: grasps * len(names)]])
     per_kind = np.array(answers).reshape(len(kinds), len(truth), -1)
-    scores = {kind: score(probabilities, truth) for kind, probabilities in zip(kinds, per_kind, strict=True)}
-    study = Study(
+    scores = {kind: score_answers(probabilities, truth) for kind, probabilities in zip(kinds, per_kind, strict=True)}
+    study = StudyResult(
         "mismatch",
         "When the model is wrong",
         {**asdict(bench), "grasps of each tissue and mismatch": grasps, "seed": seed},
@@ -43,21 +51,21 @@ def mismatch(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int
     worst = max(behind, key=behind.__getitem__)
     dishonest = max(behind, key=lambda kind: scores[kind].calibration_error)
     study.figures = [
-        Figure("share right, matched", 100 * matched, "%"),
-        Figure("furthest behind the matched case", behind[worst], "points", at_most=MOST_POINTS, note=worst),
-        Figure(
+        KeyFigure("share right, matched", 100 * matched, "%"),
+        KeyFigure("furthest behind the matched case", behind[worst], "points", at_most=MAX_POINTS_BEHIND, note=worst),
+        KeyFigure(
             "largest expected calibration error",
             scores[dishonest].calibration_error,
-            at_most=MOST_CALIBRATION_ERROR,
+            at_most=MAX_CALIBRATION_ERROR,
             note=dishonest,
         ),
         *(
-            Figure(f"behind the matched case: {kind}", points, "points", at_most=MOST_POINTS)
+            KeyFigure(f"behind the matched case: {kind}", points, "points", at_most=MAX_POINTS_BEHIND)
             for kind, points in behind.items()
         ),
         *(
-            Figure(
-                f"expected calibration error: {kind}", scores[kind].calibration_error, at_most=MOST_CALIBRATION_ERROR
+            KeyFigure(
+                f"expected calibration error: {kind}", scores[kind].calibration_error, at_most=MAX_CALIBRATION_ERROR
             )
             for kind in behind
         ),
@@ -66,14 +74,14 @@ def mismatch(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int
     rows = [[kind, *_row(found)] for kind, found in scores.items()]
     study.parts = [
         Table("Share right and honesty, mismatch by mismatch", columns, rows),
-        ("Share right, and expected calibration error", _bars(scores)),
+        ("Share right, and expected calibration error", _plot_scores(scores)),
     ]
     return study
 
 
-def _answer(job) -> np.ndarray:
+def _evaluate_case(job) -> np.ndarray:
     bench, case = job
-    course: Course = follow(bench, case)
+    course: ProbabilityHistory = estimate_grasp(bench, case)
     return course.probabilities[-1]
 
 
@@ -81,7 +89,7 @@ def _row(found: Score) -> list[float]:
     return [found.accuracy, found.calibration_error, found.confident_wrong, found.confident, found.log_loss]
 
 
-def _bars(scores: dict[str, Score]) -> go.Figure:
+def _plot_scores(scores: dict[str, Score]) -> go.Figure:
     figure = go.Figure()
     kinds = [*scores]
     figure.add_bar(

@@ -8,9 +8,11 @@ from typing import Any
 
 NO_VALUE = "–"
 # Black marks on a plot turn white where the page is dark; see STYLE.
-INK = "#000000"
+MARK_COLOR = "#000000"
 # What the page may do. It carries its scripts in itself; a plot can be saved as a picture.
-POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+CONTENT_SECURITY_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +35,7 @@ class Markup:
         return self.text
 
 
-WORDY, WORDS = (str, Markup), ' class="words"'
+TEXT_TYPES, TEXT_CLASS_ATTRIBUTE = (str, Markup), ' class="words"'
 
 STYLE = """
 :root { color-scheme: light dark; --page: #ffffff; --text: #1b1f24; --dim: #57606a; --edge: #d0d7de; --grid: #e4e8ec;
@@ -71,12 +73,12 @@ th:first-child, td:first-child, .words { text-align: left }
 """
 
 
-def document(title: str, body: str, style: str = "", *, kind: str) -> str:
+def render_page(title: str, body: str, style: str = "", *, kind: str) -> str:
     """The whole page; `kind` says what made it, so that a later one knows whether it may overwrite it."""
     name = html.escape(title)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="generator" content="{kind}">'
-        f'<meta http-equiv="Content-Security-Policy" content="{html.escape(POLICY)}">'
+        f'<meta http-equiv="Content-Security-Policy" content="{html.escape(CONTENT_SECURITY_POLICY)}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<link rel="icon" href="data:,"><title>{name}</title>'
         f"<style>{STYLE}{style}</style></head><body><main><h1>{name}</h1>{body}"
@@ -84,51 +86,51 @@ def document(title: str, body: str, style: str = "", *, kind: str) -> str:
     )
 
 
-def paragraphs(text: str) -> str:
+def render_paragraphs(text: str) -> str:
     """Text as HTML; an empty line begins a paragraph."""
     return "".join(f"<p>{html.escape(part)}</p>" for part in text.strip().split("\n\n"))
 
 
-def table(content: Table, *, heading: bool = True, level: int = 2) -> str:
+def render_table(content: Table, *, heading: bool = True, level: int = 2) -> str:
     """A table as HTML, in a box of its own that scrolls where it is too wide. Its title is a heading or a caption."""
     name = html.escape(content.title)
-    head = headings(content.columns, content.rows)
+    head = render_headings(content.columns, content.rows)
     above = f"<h{level}>{name}</h{level}>" if heading else ""
     caption = "" if heading else f"<caption>{name}</caption>"
     note = f'<p class="note">{html.escape(content.note)}</p>' if content.note else ""
     return (
         f'{above}<div class="wide" tabindex="0" role="group" aria-label="{name}"><table>{caption}<thead><tr>{head}'
-        f"</tr></thead><tbody>{rows(content.rows)}</tbody></table></div>{note}"
+        f"</tr></thead><tbody>{render_rows(content.rows)}</tbody></table></div>{note}"
     )
 
 
-def headings(columns: list[str], content: list[list[Any]]) -> str:
+def render_headings(columns: list[str], content: list[list[Any]]) -> str:
     """A table's first row as HTML; words stand to the left, over words."""
     first = [next((row[k] for row in content if row[k] is not None), None) for k in range(len(columns))]
     return "".join(
-        f'<th scope="col"{WORDS if isinstance(value, WORDY) else ""}>{html.escape(column)}</th>'
+        f'<th scope="col"{TEXT_CLASS_ATTRIBUTE if isinstance(value, TEXT_TYPES) else ""}>{html.escape(column)}</th>'
         for column, value in zip(columns, first, strict=True)
     )
 
 
-def rows(content: Iterable[list[Any]]) -> str:
+def render_rows(content: Iterable[list[Any]]) -> str:
     """Rows as HTML; the first cell is the row's heading."""
     return "".join(
-        f'<tr><th scope="row">{cell(first)}</th>' + "".join(_data(value) for value in rest) + "</tr>"
+        f'<tr><th scope="row">{render_cell(first)}</th>' + "".join(_render_data_cell(value) for value in rest) + "</tr>"
         for first, *rest in content
     )
 
 
-def _data(value: Any) -> str:
-    return f"<td{WORDS if isinstance(value, WORDY) else ''}>{cell(value)}</td>"
+def _render_data_cell(value: Any) -> str:
+    return f"<td{TEXT_CLASS_ATTRIBUTE if isinstance(value, TEXT_TYPES) else ''}>{render_cell(value)}</td>"
 
 
-def cell(value: Any) -> str:
+def render_cell(value: Any) -> str:
     """What stands in a cell, as HTML."""
-    return value.text if isinstance(value, Markup) else html.escape(shown(value))
+    return value.text if isinstance(value, Markup) else html.escape(format_value(value))
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """A value in words: three significant digits, or all before the point; a dash where there is none."""
     if value is None:
         return NO_VALUE
@@ -139,12 +141,12 @@ def shown(value: Any) -> str:
     return str(value)
 
 
-def plain(value: Any) -> Any:
+def to_json_value(value: Any) -> Any:
     """Numpy numbers as Python's, what is not finite as None, whatever the nesting."""
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [to_json_value(item) for item in value]
     if hasattr(value, "item"):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

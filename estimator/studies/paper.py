@@ -7,56 +7,56 @@ import plotly.graph_objects as go
 
 from config.load import load_library, load_settings
 from config.schema import TissueLibrary
-from estimator.bank import Bank, Priors
-from estimator.filter import ABOUT, LOG_DAMPING, PARAMETERS, V, X
+from estimator.bank import FilterBank, TissuePriors
+from estimator.filter import LOG_DAMPING, PARAMETERS, PARAMETERS_AND_MASS, V, X
 from estimator.model import force_curve
 from estimator.rivals.printed import ALPHA, BETA, DAMPING
 from estimator.rivals.printed import X as PRINTED_X
 from estimator.studies.printed_tables import TABLE_3, TABLE_4_N, TABLE_4_S, TABLE_5_S
-from estimator.studies.refine import log_evidence, parameter_bound, refine
-from estimator.studies.report import COLOURS, Figure, Study, Table
+from estimator.studies.refine import compute_cramer_rao_bound, log_evidence, maximize_posterior
+from estimator.studies.report import TISSUE_COLORS, KeyFigure, StudyResult, Table
 from estimator.studies.runner import Progress, run_cases
 from estimator.studies.sine import (
     GUESS_LOG_SD,
     RATE_HZ,
-    BothNoisy,
-    Run,
+    SineRun,
+    TwoSignalProblem,
+    build_bank_inputs,
+    build_filter_bank,
+    compute_log_parameters,
     convergence_s,
-    guesses,
-    log_of,
-    our_bank,
-    our_signals,
-    printed_answer,
+    draw_guesses,
+    run_paper_filters,
     simulate_sine,
 )
 
-PARAMETERS_OF = ("alpha", "beta", "d")
+PARAMETER_NAMES = ("alpha", "beta", "d")
 
 
 @dataclass(frozen=True, slots=True)
-class _Outcome:
+class _PaperOutcome:
     """One tissue, one seed."""
 
     tissue: int
     ours: np.ndarray  # (3,) log alpha, log beta, log d at the end, refined
-    running: np.ndarray  # (3,) the same as the running filter has them
+    running_filter: np.ndarray  # (3,) the same as the running filter has them
     information: np.ndarray  # (4, 4) of all samples and the guesses' scatter, at the truth
     printed: np.ndarray  # (3,) alpha, beta, d of the paper's scheme at the end
     convergence_s: tuple[float, float, float, float]  # ours, paper's; ours with damping; the truth's elastic force
     error_n: tuple[float, float]  # mean force error, ours and the paper's
-    blind_s: np.ndarray  # (M, 2) convergence from each tissue's guess, ours and the paper's
-    blind_n: np.ndarray  # (M, 2) mean force errors
+    blind_convergence_s: np.ndarray  # (M, 2) convergence from each tissue's guess, ours and the paper's
+    blind_error_n: np.ndarray  # (M, 2) mean force errors
     probabilities: np.ndarray  # (M + 1,) at the end
 
 
-def paper(seeds: int, seed: int, progress: Progress, jobs: int | None = None) -> Study:
+def run_paper_study(seeds: int, seed: int, progress: Progress, jobs: int | None = None) -> StudyResult:
     """Run the study: as many noises and guesses as `seeds`, from `seed` on."""
     library = load_library("paper_table2")
     names = [*library.tissues]
     cases = [(name, one) for name in names for one in range(seed, seed + seeds)]
-    outcomes = run_cases(_outcome, cases, progress, jobs)
+    outcomes = run_cases(_evaluate_case, cases, progress, jobs)
     by_tissue = [[o for o in outcomes if o.tissue == k] for k in range(len(names))]
-    study = Study(
+    study = StudyResult(
         "paper",
         "The paper's simulation, beside its scheme and ours",
         {"seeds": seeds, "first seed": seed, "noise": "uniform, 2.5 % of the peak", "guesses off by up to a factor": 2},
@@ -78,7 +78,7 @@ def paper(seeds: int, seed: int, progress: Progress, jobs: int | None = None) ->
     study.figures = _figures(library, by_tissue)
     study.parts = [
         _table_3(library, by_tissue),
-        _bounds(library, by_tissue),
+        _build_bounds_table(library, by_tissue),
         _table_4(library, by_tissue),
         *_table_5(library, by_tissue),
         _figure_4(library, seed),
@@ -87,33 +87,37 @@ def paper(seeds: int, seed: int, progress: Progress, jobs: int | None = None) ->
     return study
 
 
-def _outcome(case: tuple[str, int]) -> _Outcome:
+def _evaluate_case(case: tuple[str, int]) -> _PaperOutcome:
     name, seed = case
     library, settings = load_library("paper_table2"), load_settings()
     profile, names = library.tissues[name], [*library.tissues]
-    run, guess = simulate_sine(profile, library.mass_kg, seed), guesses(profile, seed)
-    bank = our_bank(Priors((name,), np.log(guess)[None], np.full((1, 3), GUESS_LOG_SD), library.mass_kg), run)
-    contact, samples = our_signals(run)
+    run, guess = simulate_sine(profile, library.mass_kg, seed), draw_guesses(profile, seed)
+    bank = build_filter_bank(
+        TissuePriors((name,), np.log(guess)[None], np.full((1, 3), GUESS_LOG_SD), library.mass_kg), run
+    )
+    contact, samples = build_bank_inputs(run)
     bank.start(contact)
     mean, _ = bank.advance(samples)
-    question = BothNoisy.of_run(run, np.log(guess), np.full(3, GUESS_LOG_SD), library.mass_kg)
-    refined, _ = refine(question, mean[-1, 0, ABOUT])
-    elastic_n = _elastic(mean)[:, 0]
+    question = TwoSignalProblem.from_run(run, np.log(guess), np.full(3, GUESS_LOG_SD), library.mass_kg)
+    refined, _ = maximize_posterior(question, mean[-1, 0, PARAMETERS_AND_MASS])
+    elastic_n = _compute_elastic_force(mean)[:, 0]
     damped_n = elastic_n + np.exp(mean[:, 0, LOG_DAMPING]) * mean[:, 0, V]
-    printed, printed_n, printed_force_n = printed_answer(run, guess[None], library.mass_kg, settings.conditioning)
+    printed, printed_n, printed_force_n = run_paper_filters(run, guess[None], library.mass_kg, settings.conditioning)
     truth_n = force_curve(profile.alpha_n, profile.beta_per_m, run.exact_displacement_m)
-    blind_s, blind_n, probabilities = _blind(library, run)
-    return _Outcome(
+    blind_s, blind_n, probabilities = _run_blind(library, run)
+    return _PaperOutcome(
         names.index(name),
         refined[:3],
         mean[-1, 0, PARAMETERS],
-        question.gradient(np.append(log_of(profile), np.log(library.mass_kg)))[1],
+        question.compute_gradient_and_information(np.append(compute_log_parameters(profile), np.log(library.mass_kg)))[
+            1
+        ],
         printed[-1, 0, ALPHA:],
         (
-            convergence_s(elastic_n, run.force_n[1:], run.bound_n),
-            convergence_s(printed_n[:, 0], printed_force_n, run.bound_n),
-            convergence_s(damped_n, run.force_n[1:], run.bound_n),
-            convergence_s(truth_n, run.exact_force_n, run.bound_n),
+            convergence_s(elastic_n, run.force_n[1:], run.convergence_bound_n),
+            convergence_s(printed_n[:, 0], printed_force_n, run.convergence_bound_n),
+            convergence_s(damped_n, run.force_n[1:], run.convergence_bound_n),
+            convergence_s(truth_n, run.exact_force_n, run.convergence_bound_n),
         ),
         (float(np.nanmean(elastic_n - run.force_n[1:])), float(np.nanmean(printed_n[:, 0] - printed_force_n))),
         blind_s,
@@ -122,40 +126,40 @@ def _outcome(case: tuple[str, int]) -> _Outcome:
     )
 
 
-def _elastic(mean: np.ndarray) -> np.ndarray:
+def _compute_elastic_force(mean: np.ndarray) -> np.ndarray:
     parameters = np.exp(mean[:, :, PARAMETERS])
     return force_curve(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, X])
 
 
-def _blind(library: TissueLibrary, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _run_blind(library: TissueLibrary, run: SineRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """From every tissue's guess: convergence and mean force error, ours and the paper's; and our probabilities."""
-    settings, priors = load_settings(), Priors.of(library)
-    bank = our_bank(priors, run, widening=2.0)
-    contact, samples = our_signals(run)
+    settings, priors = load_settings(), TissuePriors.from_library(library)
+    bank = build_filter_bank(priors, run, widening=2.0)
+    contact, samples = build_bank_inputs(run)
     bank.start(contact)
     mean, _ = bank.advance(samples)
-    ours_n = _elastic(mean)
+    ours_n = _compute_elastic_force(mean)
     guess = np.exp(priors.mean)
-    _, printed_n, printed_force_n = printed_answer(run, guess, library.mass_kg, settings.conditioning)
+    _, printed_n, printed_force_n = run_paper_filters(run, guess, library.mass_kg, settings.conditioning)
     times, errors = [], []
     for k in range(len(guess)):
         times.append(
             [
-                convergence_s(ours_n[:, k], run.force_n[1:], run.bound_n),
-                convergence_s(printed_n[:, k], printed_force_n, run.bound_n),
+                convergence_s(ours_n[:, k], run.force_n[1:], run.convergence_bound_n),
+                convergence_s(printed_n[:, k], printed_force_n, run.convergence_bound_n),
             ]
         )
         errors.append([_mean(ours_n[:, k] - run.force_n[1:]), _mean(printed_n[:, k] - printed_force_n)])
-    return np.array(times), np.array(errors), _named(library, run, bank)
+    return np.array(times), np.array(errors), _compute_probabilities(library, run, bank)
 
 
-def _named(library: TissueLibrary, run: Run, bank: Bank) -> np.ndarray:
+def _compute_probabilities(library: TissueLibrary, run: SineRun, bank: FilterBank) -> np.ndarray:
     """Probabilities of the tissues and of unknown, (M + 1,): all samples under each one's prior, by Laplace."""
     settings, priors = load_settings().identification, bank.priors
-    begin = bank.state.mean[bank.best(), ABOUT]
+    begin = bank.state.mean[bank.find_most_likely(), PARAMETERS_AND_MASS]
     unknown = priors.mean.mean(axis=0), np.full(3, settings.unknown_spread_log)
     log_weights = [
-        log_evidence(BothNoisy.of_run(run, log_prior, log_sd, library.mass_kg), begin)
+        log_evidence(TwoSignalProblem.from_run(run, log_prior, log_sd, library.mass_kg), begin)
         for log_prior, log_sd in [*zip(priors.mean, priors.sd, strict=True), unknown]
     ]
     known = (1 - settings.prior_unknown) / len(priors.names)
@@ -173,27 +177,27 @@ def _rms(values: list[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.square(values), axis=0))
 
 
-def _figures(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> list[Figure]:
+def _figures(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> list[KeyFigure]:
     figures = []
     for (name, profile), outcomes in zip(library.tissues.items(), by_tissue, strict=True):
-        errors = np.array([o.ours - log_of(profile) for o in outcomes])
-        bounds = parameter_bound(np.mean([o.information for o in outcomes], axis=0))
+        errors = np.array([o.ours - compute_log_parameters(profile) for o in outcomes])
+        bounds = compute_cramer_rao_bound(np.mean([o.information for o in outcomes], axis=0))
         stiffness = errors[:, 0] + errors[:, 1]
         figures += [
-            Figure(
+            KeyFigure(
                 f"{name}: mean error of alpha beta",
                 100 * abs(float(np.expm1(stiffness.mean()))),
                 "%",
                 at_most=1.0,
                 note="of the mean over the seeds, as Table III prints means",
             ),
-            Figure(
+            KeyFigure(
                 f"{name}: RMS error of alpha beta",
                 100 * float(_rms(stiffness)),
                 "%",
                 note=f"its bound is {100 * bounds[3]:.2g} %",
             ),
-            Figure(
+            KeyFigure(
                 f"{name}: largest RMS error against its bound",
                 float((_rms(errors) / bounds[:3]).max()),
                 "times",
@@ -207,43 +211,43 @@ def _figures(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> list[Fi
         note = (
             "" if truth_converges else "with the damping force: the elastic force of the truth itself never converges"
         )
-        figures.append(Figure(f"{name}: mean convergence", float(np.mean(times)), "s", at_most=0.10, note=note))
+        figures.append(KeyFigure(f"{name}: mean convergence", float(np.mean(times)), "s", at_most=0.10, note=note))
     named = [
         int(o.probabilities.argmax() == o.tissue and o.probabilities.max() >= 0.95)
         for outcomes in by_tissue
         for o in outcomes
     ]
-    return [*figures, Figure("named blind with 0.95 at the end", 100 * float(np.mean(named)), "%", at_least=100.0)]
+    return [*figures, KeyFigure("named blind with 0.95 at the end", 100 * float(np.mean(named)), "%", at_least=100.0)]
 
 
-def _table_3(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> Table:
+def _table_3(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> Table:
     rows = []
     for k, (name, profile) in enumerate(library.tissues.items()):
-        truth = np.exp(log_of(profile))
+        truth = np.exp(compute_log_parameters(profile))
         printed = np.nanmean([o.printed for o in by_tissue[k]], axis=0)
-        running = np.exp(np.mean([o.running for o in by_tissue[k]], axis=0))
+        running = np.exp(np.mean([o.running_filter for o in by_tissue[k]], axis=0))
         ours = np.exp(np.mean([o.ours for o in by_tissue[k]], axis=0))
-        for j, parameter in enumerate(PARAMETERS_OF):
+        for j, parameter in enumerate(PARAMETER_NAMES):
             row = [truth[j], TABLE_3[parameter][k], printed[j], running[j], ours[j]]
             rows.append([f"{name}, {parameter}", *map(float, row)])
     columns = ["tissue, parameter", "truth", "paper printed", "paper's scheme", "our running filter", "ours at the end"]
     return Table("Table III: estimates at the end, mean over the seeds", columns, rows)
 
 
-def _bounds(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> Table:
+def _build_bounds_table(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> Table:
     rows = []
     for k, (name, profile) in enumerate(library.tissues.items()):
-        errors = np.array([o.ours - log_of(profile) for o in by_tissue[k]])
+        errors = np.array([o.ours - compute_log_parameters(profile) for o in by_tissue[k]])
         errors = np.column_stack([errors, errors[:, 0] + errors[:, 1]])
-        bounds = parameter_bound(np.mean([o.information for o in by_tissue[k]], axis=0))
-        for j, parameter in enumerate((*PARAMETERS_OF, "alpha beta")):
+        bounds = compute_cramer_rao_bound(np.mean([o.information for o in by_tissue[k]], axis=0))
+        for j, parameter in enumerate((*PARAMETER_NAMES, "alpha beta")):
             rms = float(_rms(errors[:, j]))
             rows.append([f"{name}, {parameter}", rms, float(bounds[j]), rms / float(bounds[j])])
     columns = ["tissue, parameter", "RMS of log, ours", "Bayesian Cramér-Rao bound", "ratio"]
     return Table("How well, and how well anybody could", columns, rows)
 
 
-def _table_4(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> Table:
+def _table_4(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> Table:
     rows = []
     for k, name in enumerate(library.tissues):
         times = np.array([o.convergence_s for o in by_tissue[k]])
@@ -267,10 +271,12 @@ def _mean_or_none(values: np.ndarray) -> float | None:
     return float(values.mean()) if np.isfinite(values).all() else None
 
 
-def _table_5(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> list[Table]:
+def _table_5(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> list[Table]:
     names = [*library.tissues]
-    times = np.array([[o.blind_s for o in outcomes] for outcomes in by_tissue])  # tissue, seed, guess, scheme
-    errors = np.array([[o.blind_n for o in outcomes] for outcomes in by_tissue])
+    times = np.array(
+        [[o.blind_convergence_s for o in outcomes] for outcomes in by_tissue]
+    )  # tissue, seed, guess, scheme
+    errors = np.array([[o.blind_error_n for o in outcomes] for outcomes in by_tissue])
     rows, error_rows = [], []
     for g, guess in enumerate(names):
         rows.append(
@@ -316,19 +322,21 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
     """Liver's states over time, and its forces, as in Figure 4: one seed."""
     name = "liver"
     profile, settings = library.tissues[name], load_settings()
-    run, guess = simulate_sine(profile, library.mass_kg, seed), guesses(profile, seed)
-    bank = our_bank(Priors((name,), np.log(guess)[None], np.full((1, 3), GUESS_LOG_SD), library.mass_kg), run)
-    contact, samples = our_signals(run)
+    run, guess = simulate_sine(profile, library.mass_kg, seed), draw_guesses(profile, seed)
+    bank = build_filter_bank(
+        TissuePriors((name,), np.log(guess)[None], np.full((1, 3), GUESS_LOG_SD), library.mass_kg), run
+    )
+    contact, samples = build_bank_inputs(run)
     bank.start(contact)
     mean, _ = bank.advance(samples)
-    printed, printed_n, its_force_n = printed_answer(run, guess[None], library.mass_kg, settings.conditioning)
+    printed, printed_n, its_force_n = run_paper_filters(run, guess[None], library.mass_kg, settings.conditioning)
     figure = go.Figure().set_subplots(
         2, 3, subplot_titles=("alpha, N", "beta, 1/m", "d, kg/s", "x, m", "force, N", "force error, N")
     )
     thin = slice(None, None, 5)
     time_s = np.arange(1, len(mean) + 1)[thin] / RATE_HZ
     ours, theirs = np.exp(mean[:, 0, PARAMETERS]), printed[:, 0, [ALPHA, BETA, DAMPING]]
-    truth = np.exp(log_of(profile))
+    truth = np.exp(compute_log_parameters(profile))
 
     def draw(row: int, column: int, mine: np.ndarray, paper_s: np.ndarray | None, exact: np.ndarray) -> None:
         first = row == column == 1
@@ -352,7 +360,7 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
     for j in range(3):
         draw(1, j + 1, ours[:, j], theirs[:, j], np.full(len(mean), truth[j]))
     draw(2, 1, mean[:, 0, X], printed[:, 0, PRINTED_X], run.exact_displacement_m[1:])
-    elastic_n = _elastic(mean)[:, 0]
+    elastic_n = _compute_elastic_force(mean)[:, 0]
     draw(2, 2, elastic_n, printed_n[:, 0], run.exact_force_n[1:])
     draw(2, 3, elastic_n - run.exact_force_n[1:], printed_n[:, 0] - its_force_n, np.zeros(len(mean)))
     figure.add_hline(y=library.threshold_n(name), row=2, col=2, line_dash="dot", annotation_text="injury threshold")
@@ -362,13 +370,13 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
     )
 
 
-def _figure_5(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> tuple[str, go.Figure]:
+def _figure_5(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> tuple[str, go.Figure]:
     figure = go.Figure()
     for k, (name, profile) in enumerate(library.tissues.items()):
         until_m = float(np.log1p(2.0 / profile.alpha_n) / profile.beta_per_m)
         x_m = np.linspace(0, until_m, 80)
         for label, log_parameters, dash in (
-            ("expected", log_of(profile), "dash"),
+            ("expected", compute_log_parameters(profile), "dash"),
             ("ours", np.mean([o.ours for o in by_tissue[k]], axis=0), "solid"),
         ):
             alpha, beta, _ = np.exp(log_parameters)
@@ -377,7 +385,7 @@ def _figure_5(library: TissueLibrary, by_tissue: list[list[_Outcome]]) -> tuple[
                 x=x_m / profile.thickness_m,
                 y=stress_kpa,
                 name=f"{name.replace('_', ' ')}, {label}",
-                line={"color": COLOURS[name], "dash": dash},
+                line={"color": TISSUE_COLORS[name], "dash": dash},
             )
     figure.update_xaxes(type="log", title="strain x / x0")
     figure.update_yaxes(title="stress, kPa")

@@ -9,10 +9,18 @@ from typing import Any
 import plotly.graph_objects as go
 import plotly.io
 
-from estimator.studies.page import Markup, Table, document, paragraphs, plain, shown, table
+from estimator.studies.page import (
+    Markup,
+    Table,
+    format_value,
+    render_page,
+    render_paragraphs,
+    render_table,
+    to_json_value,
+)
 
 # Okabe and Ito's palette, as on the dashboard
-COLOURS = {
+TISSUE_COLORS = {
     "liver": "#d55e00",
     "small_bowel": "#e69f00",
     "bladder": "#0072b2",
@@ -23,7 +31,7 @@ PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#9
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class KeyFigure:
     """One number of a study. `at_most` or `at_least` is the floor that it is to reach, if there is one."""
 
     name: str
@@ -53,57 +61,59 @@ class Figure:
 
 
 @dataclass(slots=True)
-class Study:
+class StudyResult:
     """What a study found, in the order in which it is to be read."""
 
     name: str
     title: str
     settings: dict[str, Any]
     explanation: str
-    figures: list[Figure] = field(default_factory=list)
+    figures: list[KeyFigure] = field(default_factory=list)
     parts: list[Table | tuple[str, go.Figure]] = field(default_factory=list)
 
-    def document(self) -> dict[str, Any]:
+    def to_document(self) -> dict[str, Any]:
         """All figures and tables, ready for JSON: no NaN, no infinity."""
         return {
             "study": self.name,
-            "settings": plain(self.settings),
+            "settings": to_json_value(self.settings),
             "figures": [
-                {**plain(asdict(figure)), "floor": figure.floor, "reached": figure.reached} for figure in self.figures
+                {**to_json_value(asdict(figure)), "floor": figure.floor, "reached": figure.reached}
+                for figure in self.figures
             ],
-            "tables": [plain(asdict(part)) for part in self.parts if isinstance(part, Table)],
+            "tables": [to_json_value(asdict(part)) for part in self.parts if isinstance(part, Table)],
         }
 
     def write(self, folder: Path) -> tuple[Path, Path]:
         """Write `study-NAME.html` and `study-NAME.json` into `folder`; returns both paths."""
         folder.mkdir(parents=True, exist_ok=True)
         page, data = folder / f"study-{self.name}.html", folder / f"study-{self.name}.json"
-        page.write_text(self.page(), encoding="utf-8")
-        data.write_text(json.dumps(self.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        page.write_text(self.render_page(), encoding="utf-8")
+        data.write_text(json.dumps(self.to_document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
         return page, data
 
-    def page(self) -> str:
+    def render_page(self) -> str:
         """The report as one self-contained HTML page."""
-        bodies = [_figures_table(self.figures)]
+        bodies = [_render_figures_table(self.figures)]
         first = True
         for part in self.parts:
             if isinstance(part, Table):
-                bodies.append(table(part))
+                bodies.append(render_table(part))
                 continue
             title, figure = part
             figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 30, "b": 50}, height=420)
             plot = plotly.io.to_html(figure, full_html=False, include_plotlyjs=first, config={"displaylogo": False})
             bodies.append(f"<h2>{html.escape(title)}</h2>{plot}")
             first = False
-        asked = ", ".join(f"{key} {shown(value)}" for key, value in self.settings.items())
-        above = f'<p class="settings">{html.escape(asked)}</p>{paragraphs(self.explanation)}'
-        return document(self.title, above + "".join(bodies), kind="Graspwatch study")
+        asked = ", ".join(f"{key} {format_value(value)}" for key, value in self.settings.items())
+        above = f'<p class="settings">{html.escape(asked)}</p>{render_paragraphs(self.explanation)}'
+        return render_page(self.title, above + "".join(bodies), kind="Graspwatch study")
 
 
-def _figures_table(figures: list[Figure]) -> str:
+def _render_figures_table(figures: list[KeyFigure]) -> str:
     words = {True: "reached", False: '<span class="missed">not reached</span>', None: ""}
     content = [
-        [f.name, f"{shown(f.value)} {f.unit}".rstrip(), f.floor, Markup(words[f.reached]), f.note] for f in figures
+        [f.name, f"{format_value(f.value)} {f.unit}".rstrip(), f.floor, Markup(words[f.reached]), f.note]
+        for f in figures
     ]
     columns = ["Figure", "Measured", "To reach", "Reached?", "Note"]
-    return table(Table("Figures", columns, content))
+    return render_table(Table("Figures", columns, content))

@@ -8,21 +8,23 @@ from typing import TypeVar
 
 from config.errors import GraspwatchError
 
-C = TypeVar("C")
-R = TypeVar("R")
+CaseT = TypeVar("C")
+ResultT = TypeVar("R")
 Progress = Callable[[int, int], None]  # done, of
 
 
-def run_cases(work: Callable[[C], R], cases: Iterable[C], progress: Progress, jobs: int | None = None) -> list[R]:
+def run_cases(
+    work: Callable[[CaseT], ResultT], cases: Iterable[CaseT], progress: Progress, jobs: int | None = None
+) -> list[ResultT]:
     """`work` (a function of a module, it goes to other processes) on each case; results in the cases' order.
 
     Raises:
         GraspwatchError: a process died.
     """
-    todo: Sequence[C] = list(cases)
+    todo: Sequence[CaseT] = list(cases)
     jobs = jobs or os.cpu_count() or 1
     progress(0, len(todo))
-    results: list[R] = []
+    results: list[ResultT] = []
     pool = ProcessPoolExecutor(jobs)
     try:
         for result in pool.map(work, todo, chunksize=max(1, min(16, len(todo) // (4 * jobs)))):

@@ -5,43 +5,50 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import plotly.graph_objects as go
 
-from acquisition.simulation.tissue import EXACT
+from acquisition.simulation.tissue import NO_DEVIATION
 from estimator.decision import UNKNOWN
-from estimator.studies.course import Bench, follow, same_number_of_each, set_up
-from estimator.studies.grasps import Case
-from estimator.studies.report import PALETTE, Figure, Study, Table
+from estimator.studies.course import StudyConditions, build_balanced_cases, estimate_grasp, load_study_setup
+from estimator.studies.grasps import GraspCase
+from estimator.studies.report import PALETTE, KeyFigure, StudyResult, Table
 from estimator.studies.runner import Progress, run_cases
-from estimator.studies.truths import DEVIATION_OF, SLIPPING, STRANGERS
+from estimator.studies.truths import DEVIATION_BY_TISSUE, OUT_OF_LIBRARY, SLIPPING_DEVIATION
 
 
 @dataclass(frozen=True, slots=True)
-class _Answer:
+class _UnknownAnswer:
     """How one grasp was answered: probability of unknown at its end, whether named so then, and whether ever."""
 
     probability: float
-    at_end: bool
-    ever: bool
+    unknown_at_end: bool
+    unknown_ever: bool
     label: str
 
 
-def unknown(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int | None = None) -> Study:
+def run_unknown_study(
+    bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
+) -> StudyResult:
     """Run the study: `grasps` of each thing."""
-    library = set_up(bench).library
-    kinds: dict[str, list[Case]] = {
+    library = load_study_setup(bench).library
+    kinds: dict[str, list[GraspCase]] = {
         profile.title: [
-            Case(name, seed * 1_000_000 + 500_000 + 10_000 * number + i, DEVIATION_OF.get(name, EXACT), STRANGERS)
+            GraspCase(
+                name,
+                seed * 1_000_000 + 500_000 + 10_000 * number + i,
+                DEVIATION_BY_TISSUE.get(name, NO_DEVIATION),
+                OUT_OF_LIBRARY,
+            )
             for i in range(grasps)
         ]
-        for number, (name, profile) in enumerate(STRANGERS.tissues.items())
+        for number, (name, profile) in enumerate(OUT_OF_LIBRARY.tissues.items())
     }
-    slipping = same_number_of_each(library, grasps, seed + 1, deviation=SLIPPING)
+    slipping = build_balanced_cases(library, grasps, seed + 1, deviation=SLIPPING_DEVIATION)
     for i, profile in enumerate(library.tissues.values()):
         kinds[f"{profile.title} that slips out"] = slipping[i * grasps : (i + 1) * grasps]
-    own = same_number_of_each(library, grasps, seed)
+    own = build_balanced_cases(library, grasps, seed)
     cases = [(bench, case) for those in [*kinds.values(), own] for case in those]
-    answers = run_cases(_answer, cases, progress, jobs)
-    strangers, known = answers[: -len(own)], answers[-len(own) :]
-    study = Study(
+    answers = run_cases(_evaluate_case, cases, progress, jobs)
+    out_of_library, known = answers[: -len(own)], answers[-len(own) :]
+    study = StudyResult(
         "unknown",
         "Things outside the library",
         {**asdict(bench), "grasps of each thing": grasps, "seed": seed},
@@ -49,26 +56,30 @@ def unknown(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int 
         "any thickness, and a curve that the model does not fit. A grasp counts as called unknown where that name "
         "was given by the rule that names tissues, with the same bound.",
     )
-    by_kind = {kind: strangers[i * grasps : (i + 1) * grasps] for i, kind in enumerate(kinds)}
-    least = min(by_kind, key=lambda kind: _share(by_kind[kind]))
+    by_kind = {kind: out_of_library[i * grasps : (i + 1) * grasps] for i, kind in enumerate(kinds)}
+    least = min(by_kind, key=lambda kind: _compute_unknown_share(by_kind[kind]))
     study.figures = [
-        Figure("strangers called unknown within the grasp", _share(strangers), "%", at_least=95.0),
-        Figure("strangers still called unknown at its end", 100 * np.mean([a.at_end for a in strangers]), "%"),
-        Figure("tissues of the library called unknown, ever", _share(known), "%", at_most=3.0),
-        Figure("the same, at the grasp's end", 100 * np.mean([a.at_end for a in known]), "%", at_most=3.0),
-        Figure(
+        KeyFigure(
+            "strangers called unknown within the grasp", _compute_unknown_share(out_of_library), "%", at_least=95.0
+        ),
+        KeyFigure(
+            "strangers still called unknown at its end", 100 * np.mean([a.unknown_at_end for a in out_of_library]), "%"
+        ),
+        KeyFigure("tissues of the library called unknown, ever", _compute_unknown_share(known), "%", at_most=3.0),
+        KeyFigure("the same, at the grasp's end", 100 * np.mean([a.unknown_at_end for a in known]), "%", at_most=3.0),
+        KeyFigure(
             "strangers named as a tissue at the grasp's end",
-            100 * np.mean([a.label in library.tissues for a in strangers]),
+            100 * np.mean([a.label in library.tissues for a in out_of_library]),
             "%",
         ),
-        Figure("least: share called unknown", _share(by_kind[least]), "%", note=least),
-        Figure("area under the ROC curve", _area(strangers, known), ""),
+        KeyFigure("least: share called unknown", _compute_unknown_share(by_kind[least]), "%", note=least),
+        KeyFigure("area under the ROC curve", _compute_roc_area(out_of_library, known), ""),
     ]
     rows = [
         [
             kind,
-            _share(those) / 100,
-            np.mean([a.at_end for a in those]),
+            _compute_unknown_share(those) / 100,
+            np.mean([a.unknown_at_end for a in those]),
             np.mean([a.probability for a in those]),
             np.mean([a.label in library.tissues for a in those]),
         ]
@@ -83,35 +94,35 @@ def unknown(bench: Bench, grasps: int, seed: int, progress: Progress, jobs: int 
     ]
     study.parts = [
         Table("Called unknown", columns, [[name, *map(float, values)] for name, *values in rows]),
-        ("ROC of the probability of unknown at the grasp's end", _roc_figure(strangers, known)),
+        ("ROC of the probability of unknown at the grasp's end", _plot_roc(out_of_library, known)),
     ]
     return study
 
 
-def _answer(job) -> _Answer:
-    course = follow(*job)
+def _evaluate_case(job) -> _UnknownAnswer:
+    course = estimate_grasp(*job)
     label = course.record.label
     ever = UNKNOWN in course.labels or label == UNKNOWN
-    return _Answer(float(course.probabilities[-1][-1]), label == UNKNOWN, ever, label)
+    return _UnknownAnswer(float(course.probabilities[-1][-1]), label == UNKNOWN, ever, label)
 
 
-def _share(answers: list[_Answer]) -> float:
-    return 100 * float(np.mean([answer.ever for answer in answers]))
+def _compute_unknown_share(answers: list[_UnknownAnswer]) -> float:
+    return 100 * float(np.mean([answer.unknown_ever for answer in answers]))
 
 
-def _roc(strangers: list[_Answer], known: list[_Answer]) -> tuple[np.ndarray, np.ndarray]:
-    bounds = np.unique([a.probability for a in [*strangers, *known]])[::-1]
-    found = [np.mean([a.probability >= bound for a in strangers]) for bound in bounds]
+def _roc(out_of_library: list[_UnknownAnswer], known: list[_UnknownAnswer]) -> tuple[np.ndarray, np.ndarray]:
+    bounds = np.unique([a.probability for a in [*out_of_library, *known]])[::-1]
+    found = [np.mean([a.probability >= bound for a in out_of_library]) for bound in bounds]
     wrong = [np.mean([a.probability >= bound for a in known]) for bound in bounds]
     return np.array([0.0, *wrong]), np.array([0.0, *found])
 
 
-def _area(strangers: list[_Answer], known: list[_Answer]) -> float:
-    return float(np.trapezoid(*_roc(strangers, known)[::-1]))
+def _compute_roc_area(out_of_library: list[_UnknownAnswer], known: list[_UnknownAnswer]) -> float:
+    return float(np.trapezoid(*_roc(out_of_library, known)[::-1]))
 
 
-def _roc_figure(strangers: list[_Answer], known: list[_Answer]) -> go.Figure:
-    wrong, found = _roc(strangers, known)
+def _plot_roc(out_of_library: list[_UnknownAnswer], known: list[_UnknownAnswer]) -> go.Figure:
+    wrong, found = _roc(out_of_library, known)
     figure = go.Figure()
     figure.add_scatter(x=wrong, y=found, mode="lines+markers", line={"color": PALETTE[0], "shape": "hv"}, name="ours")
     figure.update_layout(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.calibration import JawSignals, from_jaw, to_jaw
+from acquisition.calibration import JawSignals, compute_jaw_signals, compute_sensor_signals
 from config.load import load_tool
 from config.schema import ForceScale
 
@@ -21,7 +21,7 @@ SIGNALS = ("force_n", "displacement_m", "angle_rad", "newton_per_volt", "metre_p
 
 
 def jaw(strain_v: float, encoder_deg: float) -> JawSignals:
-    return to_jaw(TOOL, np.array([strain_v]), np.array([encoder_deg]))
+    return compute_jaw_signals(TOOL, np.array([strain_v]), np.array([encoder_deg]))
 
 
 def exact(scale: float) -> ForceScale:
@@ -66,7 +66,7 @@ def test_force_and_displacement_are_the_papers(strain_v: float, encoder_deg: flo
 def test_going_back_to_the_sensors_and_forth_gives_the_same_force_and_displacement(
     force_n: float, displacement_m: float
 ) -> None:
-    signals = jaw(*from_jaw(TOOL, force_n, displacement_m))
+    signals = jaw(*compute_sensor_signals(TOOL, force_n, displacement_m))
     assert signals.valid[0]
     assert signals.force_n[0] == pytest.approx(force_n, rel=1e-11, abs=1e-12)
     assert signals.displacement_m[0] == pytest.approx(displacement_m, rel=1e-9, abs=1e-14)
@@ -76,7 +76,7 @@ def test_going_back_to_the_sensors_and_forth_gives_the_same_force_and_displaceme
 def test_going_forth_and_back_gives_the_same_volts_and_degrees(strain_v: float, handle_deg: float) -> None:
     encoder_deg = handle_deg * 188 / 18 + 52.189 * strain_v
     signals = jaw(strain_v, encoder_deg)
-    back_v, back_deg = from_jaw(TOOL, float(signals.force_n[0]), float(signals.displacement_m[0]))
+    back_v, back_deg = compute_sensor_signals(TOOL, float(signals.force_n[0]), float(signals.displacement_m[0]))
     assert back_v == pytest.approx(strain_v, rel=1e-11, abs=1e-12)
     assert back_deg == pytest.approx(encoder_deg, abs=1e-8)  # a millionth of an encoder count
 
@@ -84,7 +84,9 @@ def test_going_forth_and_back_gives_the_same_volts_and_degrees(strain_v: float, 
 @given(DEGREES, st.floats(0.1, 10.0))
 def test_an_unresolved_newton_scale_multiplies_force_and_leaves_displacement(encoder_deg: float, scale: float) -> None:
     calibration = TOOL.calibration.model_copy(update={"jaw_force_scale": exact(scale)})
-    scaled = to_jaw(TOOL.model_copy(update={"calibration": calibration}), np.array([0.5]), np.array([encoder_deg]))
+    scaled = compute_jaw_signals(
+        TOOL.model_copy(update={"calibration": calibration}), np.array([0.5]), np.array([encoder_deg])
+    )
     plain = jaw(0.5, encoder_deg)
     np.testing.assert_allclose(scaled.force_n, scale * plain.force_n, rtol=1e-12)
     np.testing.assert_allclose(scaled.newton_per_volt, scale * plain.newton_per_volt, rtol=1e-12)
@@ -129,7 +131,7 @@ def test_a_reading_that_is_no_number_is_flagged(nothing: float, other: float) ->
 
 
 def test_one_bad_sample_leaves_its_neighbours_alone() -> None:
-    signals = to_jaw(TOOL, np.zeros(3), np.array([10.0, -500.0, 10.0]))
+    signals = compute_jaw_signals(TOOL, np.zeros(3), np.array([10.0, -500.0, 10.0]))
     assert list(signals.valid) == [True, False, True]
     assert signals.displacement_m[0] == signals.displacement_m[2] == jaw(0.0, 10.0).displacement_m[0]
 
@@ -141,14 +143,14 @@ def test_the_domain_ends_at_about_minus_3_8_degrees_of_the_handle(handle_deg: fl
 
 def test_wherever_it_is_valid_a_closing_handle_closes_the_jaws() -> None:
     encoder_deg = np.arange(-60.0, 1000.0, 0.5)
-    signals = to_jaw(TOOL, np.zeros_like(encoder_deg), encoder_deg)
+    signals = compute_jaw_signals(TOOL, np.zeros_like(encoder_deg), encoder_deg)
     assert (np.diff(signals.displacement_m[signals.valid]) > 0).all()
 
 
 @pytest.mark.parametrize("displacement_m", [0.03, -0.02, 0.025, math.nan])
 def test_a_displacement_out_of_reach_has_no_way_back(displacement_m: float) -> None:
     with pytest.raises(ValueError, match="displacement"):
-        from_jaw(TOOL, 1.0, displacement_m)
+        compute_sensor_signals(TOOL, 1.0, displacement_m)
 
 
 def test_at_rest_one_encoder_count_is_about_a_micrometre() -> None:
@@ -157,12 +159,15 @@ def test_at_rest_one_encoder_count_is_about_a_micrometre() -> None:
 
 
 def test_strain_noise_of_2_mv_is_12_um_of_displacement_and_12_to_21_mn_of_force_with_opposite_signs() -> None:
-    rest, closed = jaw(0.0, 0.0), jaw(*from_jaw(TOOL, 0.0, 0.0081))  # free travel and the bladder's 7.6 mm at 2 N
+    rest, closed = (
+        jaw(0.0, 0.0),
+        jaw(*compute_sensor_signals(TOOL, 0.0, 0.0081)),
+    )  # free travel and the bladder's 7.6 mm at 2 N
     assert round(rest.metre_per_volt[0] * 2e-3 * 1e6) == -12
     assert round(rest.newton_per_volt[0] * 2e-3, 3) == 0.012
     assert round(closed.newton_per_volt[0] * 2e-3, 3) == 0.021
     rng = np.random.default_rng(0)
-    volts, degrees = from_jaw(TOOL, 0.5, 0.001)
-    noisy = to_jaw(TOOL, volts + 0.002 * rng.standard_normal(2000), np.full(2000, degrees))
+    volts, degrees = compute_sensor_signals(TOOL, 0.5, 0.001)
+    noisy = compute_jaw_signals(TOOL, volts + 0.002 * rng.standard_normal(2000), np.full(2000, degrees))
     correlation = np.corrcoef(noisy.force_n, noisy.displacement_m)[0, 1]
     assert correlation < -0.9999  # perfect but for the curvature over 2 mV

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.blocks import Flag
+from acquisition.blocks import SampleFlag
 from acquisition.contact import GraspTracker
 from config.load import load_tool
 from config.schema import ContactDetection
@@ -28,11 +28,11 @@ def follow(detection: ContactDetection, command_v, strain_v=0.0, encoder_deg=0.0
     for tick, (command, strain, encoder, touch) in enumerate(zip(*signals, strict=True)):
         flags = tracker.update(tick, float(command), float(strain), float(encoder), bool(touch))
         now = tracker.grasp
-        rows.append((flags, now.index, now.start_tick, now.contact_tick, now.wall_tick, now.encoder_zero_deg))
+        rows.append((flags, now.index, now.start_tick, now.contact_tick, now.jaw_closure_tick, now.encoder_zero_deg))
     return np.array(rows, ROW)
 
 
-def where(rows: np.ndarray, flag: Flag) -> np.ndarray:
+def where(rows: np.ndarray, flag: SampleFlag) -> np.ndarray:
     return np.flatnonzero(rows["flags"] & flag)
 
 
@@ -58,7 +58,7 @@ def test_a_grasp_starts_where_the_command_leaves_zero_though_it_is_known_later(
     command_v += np.random.default_rng(seed).uniform(-READBACK_NOISE_V, READBACK_NOISE_V, len(command_v))
     command_v[[rest - back for back in spikes if back <= rest]] = 0.017
     rows = follow(SENSED, command_v)
-    in_grasp = where(rows, Flag.IN_GRASP)
+    in_grasp = where(rows, SampleFlag.IN_GRASP)
     start = rows["start"][-1]
     assert rows["grasp"][-1] == 1
     # up to 2 mV is noise of the read-back: the ramp is over it, noise and all, this many samples after it began
@@ -94,7 +94,7 @@ def test_a_dropout_of_the_command_shorter_than_five_samples_does_not_end_a_grasp
     command_v[100 + at : 100 + at + samples] = 0.0
     rows = follow(SENSED, command_v)
     assert rows["grasp"][-1] == 1
-    np.testing.assert_array_equal(where(rows, Flag.IN_GRASP), np.arange(100 + LATE - 1, 300 + LATE - 1))
+    np.testing.assert_array_equal(where(rows, SampleFlag.IN_GRASP), np.arange(100 + LATE - 1, 300 + LATE - 1))
 
 
 @settings(max_examples=40)
@@ -103,9 +103,9 @@ def test_grasps_are_counted_and_each_ends_within_five_samples_of_zero(count: int
     rows = follow(SENSED, pulses(count, rest, held))
     begins = rest + (rest + held) * np.arange(count)
     expected = np.concatenate([np.arange(begin, begin + held) + LATE - 1 for begin in begins])
-    np.testing.assert_array_equal(where(rows, Flag.IN_GRASP), expected)
+    np.testing.assert_array_equal(where(rows, SampleFlag.IN_GRASP), expected)
     assert rows["grasp"][-1] == count
-    starts = rows["start"][where(rows, Flag.IN_GRASP)]
+    starts = rows["start"][where(rows, SampleFlag.IN_GRASP)]
     assert sorted(set(starts)) == list(begins)
 
 
@@ -132,8 +132,8 @@ def test_the_encoder_is_zeroed_anew_where_each_grasp_starts() -> None:
 def test_a_trusted_touch_sensor_tells_contact_to_the_sample(touch_at: int) -> None:
     command_v = pulses(1)
     rows = follow(SENSED, command_v, touched=np.arange(len(command_v)) >= touch_at)
-    in_contact = where(rows, Flag.CONTACT)
-    np.testing.assert_array_equal(in_contact, where(rows, Flag.CONTACT_SENSED))
+    in_contact = where(rows, SampleFlag.CONTACT)
+    np.testing.assert_array_equal(in_contact, where(rows, SampleFlag.CONTACT_SENSED))
     np.testing.assert_array_equal(in_contact, np.arange(touch_at + 1, 300 + LATE - 1))
     assert set(rows["contact"][in_contact]) == {touch_at}
 
@@ -141,18 +141,18 @@ def test_a_trusted_touch_sensor_tells_contact_to_the_sample(touch_at: int) -> No
 @given(st.integers(100, 298))
 def test_one_sample_of_touch_is_no_contact(touch_at: int) -> None:
     command_v = pulses(1)
-    assert not len(where(follow(SENSED, command_v, touched=np.arange(len(command_v)) == touch_at), Flag.CONTACT))
+    assert not len(where(follow(SENSED, command_v, touched=np.arange(len(command_v)) == touch_at), SampleFlag.CONTACT))
 
 
 def test_touch_outside_a_grasp_is_no_contact_and_contact_ends_with_the_grasp() -> None:
     command_v = pulses(2)
     touched = np.isin(np.arange(len(command_v)) // 50, [0, 1, 4, 7])  # in the rests, and 200 to 249
-    in_contact = where(follow(SENSED, command_v, touched=touched), Flag.CONTACT)
+    in_contact = where(follow(SENSED, command_v, touched=touched), SampleFlag.CONTACT)
     np.testing.assert_array_equal(in_contact, np.arange(201, 300 + LATE - 1))
 
 
 def test_touch_sensors_that_are_not_trusted_tell_nothing() -> None:
-    assert not len(where(follow(UNSENSED, pulses(2), touched=True), Flag.CONTACT))
+    assert not len(where(follow(UNSENSED, pulses(2), touched=True), SampleFlag.CONTACT))
 
 
 @given(free=st.integers(10, 100), newton_per_second=st.floats(1.0, 50.0), offset_v=st.floats(-0.02, 0.02))
@@ -164,9 +164,9 @@ def test_without_a_sensor_contact_is_found_between_the_first_force_and_0_04_newt
     rise_v = newton_per_second / newton_per_volt / 1000 * np.maximum(np.arange(400) - begin, 0)
     rows = follow(UNSENSED, pulses(1), strain_v=offset_v + rise_v)  # a rest voltage that was tared a little wrong
     felt = begin + int(np.argmax(rise_v[begin:] * newton_per_volt > 0.04))
-    in_contact = where(rows, Flag.CONTACT)
+    in_contact = where(rows, SampleFlag.CONTACT)
     assert begin <= rows["contact"][in_contact[0]] <= felt
-    assert not len(where(rows, Flag.CONTACT_SENSED))
+    assert not len(where(rows, SampleFlag.CONTACT_SENSED))
     assert in_contact[0] <= felt + UNSENSED.force_rise_samples
 
 
@@ -174,7 +174,7 @@ def test_without_a_sensor_contact_is_found_between_the_first_force_and_0_04_newt
 @given(st.integers(0, 10_000))
 def test_strain_noise_alone_is_no_contact(seed: int) -> None:
     strain_v = 0.002 * np.random.default_rng(seed).standard_normal(600)
-    assert not len(where(follow(UNSENSED, pulses(1, held=400), strain_v=strain_v), Flag.CONTACT))
+    assert not len(where(follow(UNSENSED, pulses(1, held=400), strain_v=strain_v), SampleFlag.CONTACT))
 
 
 def test_a_single_spike_of_the_strain_gage_is_no_contact() -> None:
@@ -182,8 +182,8 @@ def test_a_single_spike_of_the_strain_gage_is_no_contact() -> None:
     strain_v[200] = 1.0
     rows = follow(UNSENSED, pulses(1), strain_v=strain_v)
     spike_smoothed = np.arange(200, 208)
-    assert not np.isin(where(rows, Flag.CONTACT), spike_smoothed).any()
-    assert not len(where(rows, Flag.CONTACT))
+    assert not np.isin(where(rows, SampleFlag.CONTACT), spike_smoothed).any()
+    assert not len(where(rows, SampleFlag.CONTACT))
 
 
 # --- shut jaws and slipping encoders ----------------------------------------------------------------------------------
@@ -211,9 +211,9 @@ def test_shut_jaws_are_found_where_the_encoder_only_follows_the_cable(
     rows = close_on([tissue_deg_per_v, wall_deg_per_v], [wall_v, 3.0], seconds)
     samples_per_v = seconds * 1000 / 3.0
     shut_at = 150 + wall_v * samples_per_v
-    told = where(rows, Flag.JAWS_SHUT)
+    told = where(rows, SampleFlag.JAWS_CLOSED)
     assert len(told)
-    assert not len(where(rows, Flag.ENCODER_SLIPS))
+    assert not len(where(rows, SampleFlag.ENCODER_SLIPS))
     # at the next quarter of the span over which the slope is taken, on means of 8 samples (4 late); some 0.1 V of
     # tissue less than 8 deg/V over the limit could still pass for wall
     quarter = RIG.wall_span_v / 4 * samples_per_v
@@ -228,21 +228,25 @@ def test_tissue_that_gives_way_more_than_the_cable_is_no_wall_and_no_slip(
     first: float, second: float, bend_v: float
 ) -> None:
     rows = close_on([first, second], [bend_v, 3.0])
-    assert len(where(rows, Flag.CONTACT))
-    assert not len(where(rows, Flag.JAWS_SHUT | Flag.ENCODER_SLIPS))
+    assert len(where(rows, SampleFlag.CONTACT))
+    assert not len(where(rows, SampleFlag.JAWS_CLOSED | SampleFlag.ENCODER_SLIPS))
 
 
 def test_something_hard_under_little_force_is_no_wall_yet() -> None:
-    assert not len(where(close_on([STRETCH_DEG_PER_V], [0.95 * RIG.wall_above_v]), Flag.JAWS_SHUT | Flag.ENCODER_SLIPS))
+    assert not len(
+        where(
+            close_on([STRETCH_DEG_PER_V], [0.95 * RIG.wall_above_v]), SampleFlag.JAWS_CLOSED | SampleFlag.ENCODER_SLIPS
+        )
+    )
 
 
 @settings(max_examples=20)
 @given(st.floats(0.0, 30.0))
 def test_an_encoder_that_lags_behind_the_cables_stretch_slips(slope_deg_per_v: float) -> None:
     rows = close_on([slope_deg_per_v], [3.0])
-    slips = where(rows, Flag.ENCODER_SLIPS)
+    slips = where(rows, SampleFlag.ENCODER_SLIPS)
     assert len(slips)
-    assert not len(where(rows, Flag.JAWS_SHUT))
+    assert not len(where(rows, SampleFlag.JAWS_CLOSED))
     np.testing.assert_array_equal(slips, np.arange(slips[0], len(rows)))
 
 
@@ -250,10 +254,10 @@ def test_an_encoder_that_lags_behind_the_cables_stretch_slips(slope_deg_per_v: f
 def test_an_encoder_that_walks_between_grasps_is_flagged_from_the_second_on(walk_deg: float, slips: bool) -> None:
     command_v = pulses(2)
     rows = follow(RIG, command_v, encoder_deg=np.where(np.arange(len(command_v)) < 350, 0.0, walk_deg))
-    first, second = (rows[(rows["grasp"] == index) & (rows["flags"] & Flag.IN_GRASP != 0)] for index in (1, 2))
-    assert not (first["flags"] & Flag.ENCODER_SLIPS).any()
-    assert (second["flags"] & Flag.ENCODER_SLIPS != 0).all() == slips
-    assert (second["flags"] & Flag.ENCODER_SLIPS).any() == slips
+    first, second = (rows[(rows["grasp"] == index) & (rows["flags"] & SampleFlag.IN_GRASP != 0)] for index in (1, 2))
+    assert not (first["flags"] & SampleFlag.ENCODER_SLIPS).any()
+    assert (second["flags"] & SampleFlag.ENCODER_SLIPS != 0).all() == slips
+    assert (second["flags"] & SampleFlag.ENCODER_SLIPS).any() == slips
 
 
 def test_a_wall_is_forgotten_when_the_next_grasp_begins() -> None:
@@ -261,5 +265,5 @@ def test_a_wall_is_forgotten_when_the_next_grasp_begins() -> None:
     strain_v = np.zeros(len(command_v))
     strain_v[100:300] = np.linspace(0.0, 2.0, 200)
     rows = follow(RIG, command_v, strain_v, STRETCH_DEG_PER_V * strain_v)
-    assert len(where(rows[:300], Flag.JAWS_SHUT))
-    assert not len(where(rows[320:], Flag.JAWS_SHUT))
+    assert len(where(rows[:300], SampleFlag.JAWS_CLOSED))
+    assert not len(where(rows[320:], SampleFlag.JAWS_CLOSED))

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 from simulation import SIGNALS, drive, joined, simulate_raw
 
-from acquisition.calibration import to_jaw
+from acquisition.calibration import compute_jaw_signals
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.simulation.tissue import EXACT, Deviation, Material, squeeze
+from acquisition.simulation.tissue import NO_DEVIATION, Material, ModelDeviation, integrate_tissue
 from config.errors import ConfigurationError
 from config.load import load_library, load_tool
 from config.schema import Tool
@@ -24,7 +24,9 @@ COUNT_DEG = 360 / (500 * 4 * 19)
 LONG = 1000  # samples: 55 times the drive's and the cable's lag together
 
 
-def grasper(tissue: str = "liver", seed: int = 0, tool: Tool = TOOL, deviation: Deviation = EXACT) -> SimulatedGrasper:
+def grasper(
+    tissue: str = "liver", seed: int = 0, tool: Tool = TOOL, deviation: ModelDeviation = NO_DEVIATION
+) -> SimulatedGrasper:
     return SimulatedGrasper(tool, LIBRARY, tissue, seed, deviation)
 
 
@@ -62,12 +64,14 @@ def test_calibration_of_what_the_sensors_read_gives_back_the_jaws_force_and_disp
     held = grasper(tissue)
     rest_v = drive(held, np.zeros(5000)).strain_v.mean()
     raw = drive(held, np.full(3 * LONG, 2.0))
-    jaw = to_jaw(TOOL, raw.strain_v[LONG:] - rest_v, raw.encoder_deg[LONG:])
+    jaw = compute_jaw_signals(TOOL, raw.strain_v[LONG:] - rest_v, raw.encoder_deg[LONG:])
     newton_per_volt, metre_per_volt = jaw.newton_per_volt.mean(), jaw.metre_per_volt.mean()
     # means of 5000 and 2000 samples: five SD of the mean's noise; the encoder reads half a count low on average
     noise_v = 5 * 0.002 * math.sqrt(1 / 5000 + 1 / 2000)
     assert jaw.force_n.mean() == pytest.approx(held.force_n, abs=noise_v * newton_per_volt)
-    assert jaw.displacement_m.mean() == pytest.approx(held.jaw_m, abs=noise_v * abs(metre_per_volt) + 1.2e-6)
+    assert jaw.displacement_m.mean() == pytest.approx(
+        held.jaw_displacement_m, abs=noise_v * abs(metre_per_volt) + 1.2e-6
+    )
 
 
 def test_both_touch_sensors_tell_while_tissue_is_held() -> None:
@@ -75,7 +79,7 @@ def test_both_touch_sensors_tell_while_tissue_is_held() -> None:
     np.testing.assert_array_equal(raw.touch_1_v, raw.touch_2_v)
     assert set(raw.touch_1_v) == {0.0, 5.0}
     touches = np.flatnonzero(np.diff(raw.touch_1_v) > 0)
-    jaw_m = to_jaw(TOOL, raw.strain_v - raw.strain_v[:400].mean(), raw.encoder_deg).displacement_m
+    jaw_m = compute_jaw_signals(TOOL, raw.strain_v - raw.strain_v[:400].mean(), raw.encoder_deg).displacement_m
     # free travel of 0.5 mm, read with 12 µm of noise; before it the jaws have not reached the tissue
     assert len(touches) == 2
     np.testing.assert_allclose(jaw_m[touches + 1], 0.0005, rtol=0, atol=5 * 12e-6 + 60e-6)
@@ -94,7 +98,9 @@ def test_after_the_lag_the_jaws_press_as_the_paper_says_and_tissue_gives_way_as_
     material = held.specimen.material
     # 3 s are over 160 lags; a bladder creeps home with d / (alpha beta exp(beta x)), at most 2 ms here
     assert held.force_n == pytest.approx(force_n, rel=1e-9)
-    assert held.x_m == pytest.approx(math.log1p(force_n / material.alpha_n) / material.beta_per_m, rel=1e-6)
+    assert held.tissue_displacement_m == pytest.approx(
+        math.log1p(force_n / material.alpha_n) / material.beta_per_m, rel=1e-6
+    )
 
 
 def test_force_rises_with_the_drives_and_the_cables_lag() -> None:
@@ -125,7 +131,7 @@ def test_the_tissue_moves_as_the_differential_equation_says(tissue: str) -> None
         held.step(float(command_v))
         if held.in_contact:
             force_n.append(held.force_n)
-            x_m.append(held.x_m)
+            x_m.append(held.tissue_displacement_m)
     specimen = held.specimen
     time_s = np.arange(len(force_n)) / 1000
 
@@ -193,7 +199,7 @@ def test_one_step_of_any_specimen_is_the_differential_equations(
     material = Material(
         alpha_n, beta_per_m, damping, mass_kg, plateau_n, plateau_m, float(hunt_crossley), relaxed_share, relaxation_s
     )
-    stepped = squeeze(x_m, v_m_per_s, relaxed_n, begin_n, end_n, 1e-3, moved_m, material)
+    stepped = integrate_tissue(x_m, v_m_per_s, relaxed_n, begin_n, end_n, 1e-3, moved_m, material)
     # a specimen three spreads off in all three is stiff: d / m reaches 1600 1/s, four times that where damping grows
     # with the force; a tenth of an encoder count is 0.1 µm
     assert stepped[0] == pytest.approx(exactly[0], abs=1e-7)
@@ -205,7 +211,7 @@ def test_a_lump_that_the_jaws_overpower_ends_as_shut_jaws_that_take_any_force() 
     soft = {"bladder": LIBRARY.tissues["bladder"].model_copy(update={"thickness_m": 0.004})}
     held = SimulatedGrasper(exact(), LIBRARY.model_copy(update={"tissues": soft}), "bladder", 0)
     drive(held, np.full(LONG, 2.0))
-    assert held.x_m == pytest.approx(0.98 * 0.004)
+    assert held.tissue_displacement_m == pytest.approx(0.98 * 0.004)
     assert held.force_n == pytest.approx(1.55, rel=1e-9)
 
 
@@ -216,14 +222,14 @@ def test_after_a_grasp_the_jaws_let_go_and_come_back_to_rest(tissue: str) -> Non
     assert raw.touch_1_v[499] == 5.0
     assert raw.touch_1_v[-1] == 0.0
     assert held.force_n == 0.0
-    assert held.jaw_m < 1e-6  # 0.5 s are ten times the opening's time constant: 5e-5 of at most 8 mm
+    assert held.jaw_displacement_m < 1e-6  # 0.5 s are ten times the opening's time constant: 5e-5 of at most 8 mm
 
 
 @pytest.mark.parametrize("tissue", TISSUES)
 def test_opening_jaws_touch_the_tissue_until_the_spring_has_brought_them_back_to_it(tissue: str) -> None:
     held = grasper(tissue)
     drive(held, np.full(500, 2.0))
-    closed_m, lags = held.jaw_m, TOOL.simulation
+    closed_m, lags = held.jaw_displacement_m, TOOL.simulation
     touch_v = drive(held, np.zeros(500)).touch_1_v
     # the drive lets go at 0.02 N; then the jaws' opening decays; while it lets go they follow it a little
     let_go_s = lags.drive_lag_s * math.log(1.55 / 0.02)
@@ -245,7 +251,7 @@ def test_jaws_touch_thin_tissue_where_the_gap_between_them_is_its_thickness(tiss
     held, gaps_m, thicknesses_m = grasper(tissue, seed=3), [], []
     for _ in range(30):
         until_contact(held)
-        gaps_m.append(0.010 - held.jaw_m)  # the simulated tool's jaws open by 10 mm
+        gaps_m.append(0.010 - held.jaw_displacement_m)  # the simulated tool's jaws open by 10 mm
         thicknesses_m.append(held.specimen.thickness_m)
         drive(held, np.zeros(500))
     thin = np.array(thicknesses_m) < 0.0095
@@ -260,7 +266,7 @@ def test_tissue_thicker_than_the_opening_is_met_after_the_least_travel() -> None
     held = grasper("bladder", seed=3)  # 26 mm between jaws that open by 10
     for _ in range(10):
         until_contact(held)
-        assert 0 <= held.jaw_m - TOOL.simulation.free_travel_m < 62e-6
+        assert 0 <= held.jaw_displacement_m - TOOL.simulation.free_travel_m < 62e-6
         drive(held, np.zeros(500))
 
 
@@ -277,9 +283,9 @@ def until_contact(held: SimulatedGrasper) -> None:
 
 @pytest.mark.parametrize("tissue", ["liver", "bladder"])
 @pytest.mark.parametrize(
-    "nothing", [Deviation(), Deviation(relaxation_s=0.1, plateau_m=5e-3, motion_hz=3.0, slips_within_s=0.1)]
+    "nothing", [ModelDeviation(), ModelDeviation(relaxation_s=0.1, plateau_m=5e-3, motion_hz=3.0, slips_within_s=0.1)]
 )
-def test_a_deviation_of_no_size_changes_no_sample(tissue: str, nothing: Deviation) -> None:
+def test_a_deviation_of_no_size_changes_no_sample(tissue: str, nothing: ModelDeviation) -> None:
     commands_v = [*np.zeros(50), *np.full(600, 2.0), *np.zeros(300), *np.full(100, 1.0)]
     plain, deviating = drive(grasper(tissue), commands_v), drive(grasper(tissue, deviation=nothing), commands_v)
     for name in SIGNALS:
@@ -289,17 +295,17 @@ def test_a_deviation_of_no_size_changes_no_sample(tissue: str, nothing: Deviatio
 @pytest.mark.parametrize("share", [0.1, 0.3])
 def test_relaxing_tissue_held_at_constant_force_creeps_to_where_the_rest_of_its_curve_carries_it(share: float) -> None:
     """The relaxed force r grows by (share (F + r) - r) / tau, so what is missing decays at (1 - share) / tau."""
-    held = grasper("liver", seed=1, deviation=Deviation(relaxed_share=share, relaxation_s=0.4))
+    held = grasper("liver", seed=1, deviation=ModelDeviation(relaxed_share=share, relaxation_s=0.4))
 
     def elastic_n(samples: int) -> float:
         drive(held, np.full(samples, 2.0))
         material = held.specimen.material
-        return material.alpha_n * math.expm1(material.beta_per_m * held.x_m)
+        return material.alpha_n * math.expm1(material.beta_per_m * held.tissue_displacement_m)
 
     early_n, later_n, last_n = elastic_n(500), elastic_n(400), elastic_n(10_000)
     material = held.specimen.material
     end_m = math.log1p(1.55 / ((1 - share) * material.alpha_n)) / material.beta_per_m
-    assert held.x_m == pytest.approx(end_m, rel=1e-6)
+    assert held.tissue_displacement_m == pytest.approx(end_m, rel=1e-6)
     # the damping holds it back by d v, under 0.4 mN, which decays as well
     assert (last_n - later_n) / (last_n - early_n) == pytest.approx(math.exp(-(1 - share)), rel=0.01)
 
@@ -307,72 +313,78 @@ def test_relaxing_tissue_held_at_constant_force_creeps_to_where_the_rest_of_its_
 @pytest.mark.parametrize("elastic_n", [0.25, 1.0, 2.0])
 def test_hunt_crossley_damping_grows_with_the_force_and_is_the_profiles_at_1_n(elastic_n: float) -> None:
     """The force balances the tissue's, so all that slows it is the damping: m a = -d v."""
-    material = grasper("gallbladder", tool=exact(), deviation=Deviation(hunt_crossley=True)).specimen.material
+    material = grasper("gallbladder", tool=exact(), deviation=ModelDeviation(hunt_crossley=True)).specimen.material
     x_m = math.log1p(elastic_n / material.alpha_n) / material.beta_per_m
     v_m_per_s, dt_s = 0.01, 1e-7
-    _, slowed, _ = squeeze(x_m, v_m_per_s, 0.0, elastic_n, elastic_n, dt_s, 0.0, material)
+    _, slowed, _ = integrate_tissue(x_m, v_m_per_s, 0.0, elastic_n, elastic_n, dt_s, 0.0, material)
     damping = material.mass_kg * (v_m_per_s - slowed) / dt_s / v_m_per_s
     assert damping == pytest.approx(LIBRARY.tissues["gallbladder"].damping_kg_per_s * elastic_n, rel=1e-3)
 
 
 def test_foam_gives_way_like_tissue_with_cell_walls_that_carry_a_force_from_the_start() -> None:
-    held = grasper("bladder", tool=exact(), deviation=Deviation(plateau_n=0.8, plateau_m=0.3e-3))
+    held = grasper("bladder", tool=exact(), deviation=ModelDeviation(plateau_n=0.8, plateau_m=0.3e-3))
     drive(held, np.full(3 * LONG, 2.0))
     profile = LIBRARY.tissues["bladder"]
-    carried_n = profile.alpha_n * math.expm1(profile.beta_per_m * held.x_m) + 0.8 * (1 - math.exp(-held.x_m / 0.3e-3))
+    carried_n = profile.alpha_n * math.expm1(profile.beta_per_m * held.tissue_displacement_m) + 0.8 * (
+        1 - math.exp(-held.tissue_displacement_m / 0.3e-3)
+    )
     assert carried_n == pytest.approx(1.55, rel=1e-6)
 
 
 def test_tissue_that_slips_gives_way_until_a_fiftieth_of_it_is_held() -> None:
     firm = grasper("liver", tool=exact())
-    loose = grasper("liver", tool=exact(), deviation=Deviation(slips_after_s=0.3, slips_within_s=0.4))
+    loose = grasper("liver", tool=exact(), deviation=ModelDeviation(slips_after_s=0.3, slips_within_s=0.4))
     until_contact(firm), until_contact(loose)
     drive(firm, np.full(299, 2.0)), drive(loose, np.full(299, 2.0))
-    assert loose.x_m == firm.x_m
+    assert loose.tissue_displacement_m == firm.tissue_displacement_m
     profile = LIBRARY.tissues["liver"]
 
     def carrying_m(share: float) -> float:
         return math.log1p(1.55 / (share * profile.alpha_n)) / profile.beta_per_m
 
     drive(loose, np.full(201, 2.0))
-    assert loose.x_m == pytest.approx(carrying_m(0.5), rel=0.01)  # half of it is left; it follows within 2 ms
+    assert loose.tissue_displacement_m == pytest.approx(
+        carrying_m(0.5), rel=0.01
+    )  # half of it is left; it follows within 2 ms
     drive(loose, np.full(LONG, 2.0))
-    assert loose.x_m == pytest.approx(carrying_m(0.02), rel=1e-4)  # so little damping is left that it still rings
+    assert loose.tissue_displacement_m == pytest.approx(
+        carrying_m(0.02), rel=1e-4
+    )  # so little damping is left that it still rings
 
 
 def test_a_late_touch_is_told_when_the_tissue_is_compressed_by_as_much() -> None:
-    held = grasper("gallbladder", deviation=Deviation(touch_late_m=100e-6))
+    held = grasper("gallbladder", deviation=ModelDeviation(touch_late_m=100e-6))
     until_contact(held)
     told, compressed_m = [], []
     for command_v in [*np.full(300, 2.0), *np.zeros(200)]:
         told.append(held.step(command_v)[2] == 5.0)
-        compressed_m.append(held.x_m)
+        compressed_m.append(held.tissue_displacement_m)
     np.testing.assert_array_equal(told, np.array(compressed_m) >= 100e-6)
     assert not told[0]
     assert any(told)
 
 
-def readings(deviation: Deviation, commands_v: list[float], tissue: str = "bladder") -> dict[str, np.ndarray]:
+def readings(deviation: ModelDeviation, commands_v: list[float], tissue: str = "bladder") -> dict[str, np.ndarray]:
     """What a tool without noise makes of the sensors, and what is true; N, m and m/s."""
     quiet = TOOL.model_copy(update={"noise": TOOL.noise.model_copy(update={"strain_sd_v": 1e-9, "strain_lsb_v": 0.0})})
     held = grasper(tissue, tool=quiet, deviation=deviation)
     rest_v = held.step(0.0)[0]
     volts, degrees, force_n, jaw_m = np.transpose(
-        [(*held.step(command_v)[:2], held.force_n, held.jaw_m) for command_v in commands_v]
+        [(*held.step(command_v)[:2], held.force_n, held.jaw_displacement_m) for command_v in commands_v]
     )
-    jaw = to_jaw(quiet, volts - rest_v, degrees)
+    jaw = compute_jaw_signals(quiet, volts - rest_v, degrees)
     v_m_per_s = np.diff(jaw_m, prepend=0.0) * 1000
     return {"read_n": jaw.force_n, "force_n": force_n, "read_m": jaw.displacement_m, "jaw_m": jaw_m, "v": v_m_per_s}
 
 
 def test_a_wrong_force_scale_reads_every_force_wrong_by_as_much() -> None:
-    found = readings(Deviation(force_scale=0.9), [2.0] * 400)
+    found = readings(ModelDeviation(force_scale=0.9), [2.0] * 400)
     held = found["force_n"] > 0.05
     np.testing.assert_allclose(found["read_n"][held], 0.9 * found["force_n"][held], rtol=2e-3)
 
 
 def test_friction_adds_to_the_force_while_the_jaws_close_and_takes_away_while_they_open() -> None:
-    found = readings(Deviation(friction_share=0.1), [*[2.0] * 1000, *[0.5] * 60])
+    found = readings(ModelDeviation(friction_share=0.1), [*[2.0] * 1000, *[0.5] * 60])
     closing, opening = (found["force_n"] > 0.05) & (found["v"] > 5e-3), found["v"] < -5e-3
     opening[:1000] = False
     assert closing.sum() > 10
@@ -384,7 +396,7 @@ def test_friction_adds_to_the_force_while_the_jaws_close_and_takes_away_while_th
 
 
 def test_backlash_is_travel_that_the_encoder_sees_while_the_cable_tightens_and_the_jaws_do_not_make() -> None:
-    found = readings(Deviation(backlash_m=200e-6), [2.0] * 600)
+    found = readings(ModelDeviation(backlash_m=200e-6), [2.0] * 600)
     seen_m = found["read_m"] - found["jaw_m"]
     count_m = 1.2e-6
     assert np.abs(seen_m[found["force_n"] == 0.0]).max() < count_m
@@ -398,12 +410,12 @@ def test_backlash_is_travel_that_the_encoder_sees_while_the_cable_tightens_and_t
 def test_breathing_and_heartbeat_move_the_jaws_that_press_with_constant_force(
     motion_m: float, motion_hz: float
 ) -> None:
-    held = grasper("liver", deviation=Deviation(motion_m=motion_m, motion_hz=motion_hz))
+    held = grasper("liver", deviation=ModelDeviation(motion_m=motion_m, motion_hz=motion_hz))
     drive(held, np.full(LONG, 2.0))
     jaw_m = []
     for _ in range(4 * LONG):  # whole periods
         held.step(2.0)
-        jaw_m.append(held.jaw_m)
+        jaw_m.append(held.jaw_displacement_m)
     turn = 2 * math.pi * motion_hz * np.arange(len(jaw_m)) / 1000
     waves = np.column_stack([np.sin(turn), np.cos(turn), np.ones(len(turn))])
     (sine, cosine, _), residual, *_ = np.linalg.lstsq(waves, np.array(jaw_m), rcond=None)
@@ -447,7 +459,7 @@ def test_closing_again_before_letting_go_holds_the_same_specimen() -> None:
 def test_what_is_to_be_held_is_found_by_the_next_grasp_not_by_this_one() -> None:
     held = grasper("liver")
     drive(held, np.full(300, 2.0))
-    held.hold("bladder")
+    held.set_tissue("bladder")
     drive(held, np.full(100, 1.0))
     assert held.specimen.tissue == "liver"
     drive(held, [*np.zeros(500), *np.full(100, 2.0)])

@@ -6,32 +6,34 @@ import numpy as np
 import pytest
 from simulation import WatchedGrasper
 
-from acquisition.blocks import Flag
-from acquisition.control import Acquisition, RunEnd
-from acquisition.limiter import AIM_SHARE, FOLLOW_S, RAISE_N_PER_S, HoldBack
-from acquisition.nidaq import NidaqTool
+from acquisition.blocks import SampleFlag
+from acquisition.control import AcquisitionController, RunOutcome
+from acquisition.limiter import LIMIT_RISE_N_PER_S, SETPOINT_SHARE, THRESHOLD_SETTLING_S, ForceLimiter
+from acquisition.nidaq import NidaqSource
 from acquisition.protocol import command_cycle
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
-from acquisition.simulation.service import in_process_options
-from acquisition.simulation.tissue import EXACT, Deviation
+from acquisition.simulation.service import create_in_process_options
+from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
 from config.load import load_library, load_protocol, load_settings, load_tool
-from config.schema import Protocol, Tool, Trapezoid
+from config.schema import GraspProtocol, Tool, TrapezoidWaveform
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
 LOWEST_N, LIVER_N = LIBRARY.lowest_threshold_n, LIBRARY.threshold_n("liver")
 LIMIT_N = SETTINGS.limiter.margin * LOWEST_N
-HOLD_N = AIM_SHARE * LIMIT_N
+HOLD_N = SETPOINT_SHARE * LIMIT_N
 STRONG = load_protocol("strong_2hz")
-HELD_BACK, LET_GO = Flag.HELD_BACK.value, Flag.LET_GO.value
+HELD_BACK, LET_GO = SampleFlag.LIMITED.value, SampleFlag.RELEASED.value
 SEEDS = range(3)
 STEEP = TOOL.plausible.model_copy(update={"strain_step_v": 0.4})
 """Of tools whose force rises more quickly than TOOL's, where that would be taken for a lost signal."""
 
 
-def strong(ramp_s: float = 0.125, hold_s: float = 0.5) -> Protocol:
-    waveform = Trapezoid(shape="trapezoid", peak_v=3.5, ramp_up_s=ramp_s, hold_s=hold_s, ramp_down_s=ramp_s, rest_s=0.5)
-    return Protocol(name="mine", title="Mine", waveform=waveform)
+def strong(ramp_s: float = 0.125, hold_s: float = 0.5) -> GraspProtocol:
+    waveform = TrapezoidWaveform(
+        shape="trapezoid", peak_v=3.5, ramp_up_s=ramp_s, hold_s=hold_s, ramp_down_s=ramp_s, rest_s=0.5
+    )
+    return GraspProtocol(name="mine", title="Mine", waveform=waveform)
 
 
 def as_strong_as(share: float) -> Tool:
@@ -52,7 +54,7 @@ class Run:
     samples: np.ndarray
     force_n: np.ndarray  # true, sample by sample
     let_go: list[str]
-    ends: list[RunEnd]
+    ends: list[RunOutcome]
     output_v: float
 
     def flagged(self, flag: int, grasp: int = 1) -> np.ndarray:
@@ -72,7 +74,7 @@ def run(
     *,
     cycles=1,
     true=TOOL,
-    deviation=EXACT,
+    deviation=NO_DEVIATION,
     told=None,
     settings=SETTINGS.limiter,
     grasper_type=WatchedGrasper,
@@ -81,17 +83,17 @@ def run(
     grasper = grasper_type(true, LIBRARY, tissue, seed, deviation)
     board = SimulatedBoard(TOOL, grasper, VirtualClock())
     blocks, let_go, ended = [], [], []
-    with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
-        hold_back = HoldBack(TOOL, LIBRARY, settings)
+    with NidaqSource(TOOL, create_in_process_options(board), board.clock.now_ns) as source:
+        hold_back = ForceLimiter(TOOL, LIBRARY, settings)
         told_of = TOOL.model_copy(update={"plausible": true.plausible})
-        acquisition = Acquisition(source, told_of, SETTINGS.conditioning, hold_back, Safety.ARMED)
+        acquisition = AcquisitionController(source, told_of, SETTINGS.conditioning, hold_back, Safety.ARMED)
         acquisition.start("run", protocol, cycles)
         while not ended:
-            blocks.append(acquisition.turn().samples)
-            let_go += acquisition.take_let_go()
-            ended = acquisition.take_ended()
+            blocks.append(acquisition.process_block().samples)
+            let_go += acquisition.pop_release_reasons()
+            ended = acquisition.pop_ended_runs()
             if told and (limit := told(int(blocks[-1]["tick"][-1]))):
-                acquisition.allow(*limit)
+                acquisition.set_threshold(*limit)
     samples = np.concatenate(blocks)
     return Run(samples, np.array(grasper.forces_n[: len(samples)]), let_go, [end.end for end in ended], board.output_v)
 
@@ -108,7 +110,7 @@ def measured_n(samples: np.ndarray) -> np.ndarray:
 
 def test_without_the_limiter_the_strong_protocol_would_injure_a_bladder():
     command_v = command_cycle(STRONG, TOOL).max()
-    assert float(TOOL.command_to_force.force(command_v)) > LIBRARY.threshold_n("bladder") == LOWEST_N
+    assert float(TOOL.command_to_force.to_force_n(command_v)) > LIBRARY.threshold_n("bladder") == LOWEST_N
 
 
 # --- nobody tells a limit: the lowest of the library -----------------------------------------------------------------
@@ -152,7 +154,7 @@ def test_the_hold_ends_with_the_protocols_and_the_next_grasp_is_held_as_well():
         assert after["motor_command_v"].max() < 2.6
         assert not after["motor_command_v"][-50:].any()
         assert not found.force_n[held[-1] + 190]
-    assert found.ends == [RunEnd.FINISHED]
+    assert found.ends == [RunOutcome.FINISHED]
     assert found.output_v == 0.0
 
 
@@ -184,7 +186,7 @@ def test_a_named_tissue_gets_its_own_limit_and_slowly():
     assert found.force_n.max() == pytest.approx(2.3, abs=0.01)  # all that the protocol asks for
     assert not len(found.flagged(HELD_BACK)[found.flagged(HELD_BACK) > lead_in + 450])
     rises_v = np.diff(found.samples["motor_command_v"][lead_in + 200 : lead_in + 500])
-    assert rises_v.max() <= RAISE_N_PER_S * 0.005 / 0.5 + 0.02  # 0.5 N/V is the map's slope here; 20 mV is noise
+    assert rises_v.max() <= LIMIT_RISE_N_PER_S * 0.005 / 0.5 + 0.02  # 0.5 N/V is the map's slope here; 20 mV is noise
 
 
 def test_an_estimator_that_dies_leaves_the_lowest_limit_within_its_time():
@@ -245,7 +247,7 @@ def test_force_is_held_by_what_is_felt_and_not_by_the_map(true, ramp_s):
 
 
 def test_a_gage_that_reads_too_much_holds_less_and_noise_does_not_shake_the_motor():
-    found = run(deviation=Deviation(force_scale=1.3))
+    found = run(deviation=ModelDeviation(force_scale=1.3))
     assert found.samples["jaw_force_n"][found.held].mean() == pytest.approx(HOLD_N, rel=0.02)
     noisy = TOOL.model_copy(update={"noise": TOOL.noise.model_copy(update={"strain_sd_v": 0.006})})
     found = run(true=noisy)
@@ -287,7 +289,7 @@ def test_a_force_over_the_threshold_lets_that_grasp_go_but_not_the_run_and_teach
         assert not len(found.flagged(LET_GO, grasp))
         assert found.force_n[in_grasp].max() < LOWEST_N
         assert np.median(found.force_n[in_grasp & (found.force_n > 0)]) > 0.9 * HOLD_N
-    assert found.ends == [RunEnd.FINISHED]
+    assert found.ends == [RunOutcome.FINISHED]
 
 
 def test_a_force_that_does_not_follow_a_falling_threshold_lets_the_grasp_go():
@@ -300,18 +302,18 @@ def test_a_force_that_does_not_follow_a_falling_threshold_lets_the_grasp_go():
     (why,) = found.let_go
     assert "threshold of 2.25 N" in why
     first = int(found.flagged(LET_GO)[0])
-    assert 2000 + 1000 * FOLLOW_S <= first <= 2000 + 1000 * FOLLOW_S + 20
+    assert 2000 + 1000 * THRESHOLD_SETTLING_S <= first <= 2000 + 1000 * THRESHOLD_SETTLING_S + 20
     assert not found.samples["motor_command_v"][first : first + 150].any()
 
 
 def test_a_stopped_run_leaves_no_flag_behind():
     grasper = WatchedGrasper(TOOL, LIBRARY, "bladder", 1)
     board = SimulatedBoard(TOOL, grasper, VirtualClock())
-    with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
-        hold_back = HoldBack(TOOL, LIBRARY, SETTINGS.limiter)
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
+    with NidaqSource(TOOL, create_in_process_options(board), board.clock.now_ns) as source:
+        hold_back = ForceLimiter(TOOL, LIBRARY, SETTINGS.limiter)
+        acquisition = AcquisitionController(source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
         acquisition.start("run", STRONG, 1)
-        assert any((acquisition.turn().samples["flags"] & HELD_BACK).all() for _ in range(150))
+        assert any((acquisition.process_block().samples["flags"] & HELD_BACK).all() for _ in range(150))
         acquisition.stop("asked")
         assert board.output_v == 0.0
-        assert not any((acquisition.turn().samples["flags"] & HELD_BACK).any() for _ in range(50))
+        assert not any((acquisition.process_block().samples["flags"] & HELD_BACK).any() for _ in range(50))

@@ -9,14 +9,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquisition.bench import fits
-from acquisition.bench.measuring import Bench
-from acquisition.control import ASTRAY_V, Acquisition, RunEnd
-from acquisition.limiter import HoldBack
-from acquisition.nidaq import NidaqTool
+from acquisition.bench.measuring import CalibrationBench
+from acquisition.control import READBACK_TOLERANCE_V, AcquisitionController, RunOutcome
+from acquisition.limiter import ForceLimiter
+from acquisition.nidaq import NidaqSource
 from acquisition.safety import Safety
 from acquisition.simulation.board import Plant, SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.simulation.service import in_process_options
+from acquisition.simulation.service import create_in_process_options
 from config.load import load_library, load_protocol, load_settings, load_tool
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
@@ -26,11 +26,11 @@ RISE_V_PER_S = PROTOCOL.waveform.peak_v / PROTOCOL.waveform.ramp_up_s
 CYCLES = 3
 
 
-class LateReader(NidaqTool):
+class LateReader(NidaqSource):
     """Reads each block so long after its last sample, s, or as soon as it comes to it: a turn takes it 1 ms."""
 
     def __init__(self, board: SimulatedBoard, lags_s: Iterable[float]) -> None:
-        super().__init__(TOOL, in_process_options(board), board.clock.now_ns)
+        super().__init__(TOOL, create_in_process_options(board), board.clock.now_ns)
         self._virtual, self._lags_s, self._due_ns = board.clock, iter(lags_s), 0
 
     def read_block(self):
@@ -59,24 +59,24 @@ class Wiring:
         return self._reads(command_v, self._strain_v) if self._wrong else command_v
 
 
-def play(plant: Plant, lags_s: Iterable[float]) -> tuple[SimulatedBoard, np.ndarray, RunEnd, str]:
+def play(plant: Plant, lags_s: Iterable[float]) -> tuple[SimulatedBoard, np.ndarray, RunOutcome, str]:
     """The board, the samples that were read, and how the run ended, why."""
     board = SimulatedBoard(TOOL, plant, VirtualClock())
-    hold_back = HoldBack(TOOL, LIBRARY, SETTINGS.limiter)
+    hold_back = ForceLimiter(TOOL, LIBRARY, SETTINGS.limiter)
     with LateReader(board, lags_s) as source:
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
+        acquisition = AcquisitionController(source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
         acquisition.start("run", PROTOCOL, CYCLES)
         blocks = []
         while acquisition.running:
-            blocks.append(acquisition.turn().samples)
-        [ended] = acquisition.take_ended()
+            blocks.append(acquisition.process_block().samples)
+        [ended] = acquisition.pop_ended_runs()
     return board, np.concatenate(blocks), ended.end, ended.why
 
 
 @pytest.mark.parametrize("lag_s", [0.05, 0.1, 0.2, 0.3, 0.5])
 def test_a_reader_that_lags_runs_to_its_end(lag_s):
     _, samples, end, why = play(Wiring(), repeat(lag_s))
-    assert end is RunEnd.FINISHED, why
+    assert end is RunOutcome.FINISHED, why
     assert samples["grasp"].max() == CYCLES
     assert samples["motor_command_v"].max() == pytest.approx(PROTOCOL.waveform.peak_v)
 
@@ -91,7 +91,7 @@ def test_whatever_holds_the_reader_up_the_run_ends_well_and_the_command_rises_no
     plant = Wiring()
     lags = chain(*(repeat(lag_s, blocks) for blocks, lag_s in lags_s), repeat(0.0))
     _, _, end, why = play(plant, lags)
-    assert end is RunEnd.FINISHED, why
+    assert end is RunOutcome.FINISHED, why
     commands_v = np.array(plant.commands_v)
     most_v = RISE_V_PER_S * (0.02 + 0.015)  # in 20 ms: two blocks may come at once, and a write holds for one
     assert (commands_v[20:] - commands_v[:-20]).max() < most_v
@@ -113,19 +113,19 @@ MISWIRED = {
 def test_a_command_that_is_read_back_wrong_is_found_within_100_ms_of_samples(wrong, lag_s, reactions):
     plant = Wiring(MISWIRED[wrong])
     board, samples, end, why = play(plant, repeat(lag_s))
-    assert end is RunEnd.FAILED
+    assert end is RunOutcome.FAILED
     assert "check its wiring" in why
     assert board.output_v == 0.0
     off_v = np.abs(samples["motor_command_v"] - np.array(plant.commands_v[: len(samples)]))
     off_v[np.isnan(off_v)] = np.inf
-    took_ms = int((off_v[::-1] <= ASTRAY_V).argmax())  # samples in a row up to the last one that was read
+    took_ms = int((off_v[::-1] <= READBACK_TOLERANCE_V).argmax())  # samples in a row up to the last one that was read
     reactions.add(f"motor command read back wrong: {wrong}", f"hold, reader {lag_s * 1e3:.0f} ms late", took_ms, 100.0)
     assert 0 < took_ms <= 100
 
 
 def test_a_reader_that_is_later_than_a_second_ends_the_run_and_calls_it_late():
     board, _, end, why = play(Wiring(), chain(repeat(0.0, 200), repeat(1.2)))
-    assert end is RunEnd.FAILED
+    assert end is RunOutcome.FAILED
     assert "read 1.2 s late" in why
     assert board.output_v == 0.0
 
@@ -145,8 +145,10 @@ def test_a_calibration_whose_program_is_held_up_again_and_again_comes_out_right(
         return board.clock.now_ns()
 
     def put(pull_n: float, gauge_m: float) -> None:
-        grasper.hung_n, grasper.gauge_m = pull_n, gauge_m
+        grasper.handle_pull_n, grasper.gauge_m = pull_n, gauge_m
 
-    [stretch] = fits.stretch(Bench(TOOL, in_process_options(board), clock, put).shut(), TOOL).constants
+    [stretch] = fits.fit_stretch(
+        CalibrationBench(TOOL, create_in_process_options(board), clock, put).read_closed_jaws(), TOOL
+    ).constants
     assert stretch.value == pytest.approx(TOOL.calibration.encoder_deg_per_volt, rel=0.01)
     assert board.output_v == 0.0

@@ -18,9 +18,9 @@ from nidaqmx.stream_writers import AnalogSingleChannelWriter
 from proxy import HttpProxy
 from pydantic import ValidationError
 
-from acquisition.nidaq import NidaqTool, reset_device, session_options
+from acquisition.nidaq import NidaqSource, create_session_options, reset_device
 from acquisition.simulation.board import RealClock, SimulatedBoard, VirtualClock
-from acquisition.simulation.service import in_process_options, serve_tcp
+from acquisition.simulation.service import create_in_process_options, serve_tcp
 from config.errors import RefusedError, ToolError
 from config.load import load_tool
 from config.schema import Board, ToolKind
@@ -48,10 +48,10 @@ class Rig:
         self.clock = clock or VirtualClock()
         self.plant = Ramp()
         self.board = SimulatedBoard(TOOL, self.plant, self.clock, buffer_samples)
-        self.options = in_process_options(self.board)
+        self.options = create_in_process_options(self.board)
 
-    def tool(self) -> NidaqTool:
-        return NidaqTool(TOOL, self.options, self.clock.now_ns)
+    def tool(self) -> NidaqSource:
+        return NidaqSource(TOOL, self.options, self.clock.now_ns)
 
     def pass_time(self, seconds: float) -> None:
         self.clock.sleep_until_ns(self.clock.now_ns() + round(seconds * 1e9))
@@ -177,7 +177,7 @@ def test_a_short_read_ends_the_tool_at_zero_and_counts_what_came(rig: Rig, arriv
     with rig.tool() as tool:
         tool.read_block()
         tool.write_command(2.0)
-        rig.board.cut_sample_clock(after=arrived)
+        rig.board.stop_sample_clock(after=arrived)
         waited_from_ns = rig.clock.now_ns()
         with pytest.raises(ToolError, match=f"only {arrived} of 5 samples .*The motor is at zero"):
             tool.read_block()
@@ -233,13 +233,13 @@ def test_an_encoder_started_after_the_analog_inputs_never_delivers(rig: Rig, ord
 
 def test_a_wrong_pulse_count_gives_wrong_degrees_as_on_a_real_counter(rig: Rig) -> None:
     halved = TOOL.calibration.model_copy(update={"encoder_counts_per_rev": 250})
-    with NidaqTool(TOOL.model_copy(update={"calibration": halved}), rig.options) as tool:
+    with NidaqSource(TOOL.model_copy(update={"calibration": halved}), rig.options) as tool:
         np.testing.assert_allclose(tool.read_block().encoder_deg, np.arange(1, 6) * 2 * COUNT_DEG)
 
 
 @pytest.mark.skipif(HAS_DRIVER, reason="NI-DAQmx is installed: this would open a real board")
 def test_without_the_driver_it_says_what_to_install_and_what_needs_none() -> None:
-    with pytest.raises(ToolError, match=r"install NI-DAQmx .*`--tool simulated`"), NidaqTool(TOOL):
+    with pytest.raises(ToolError, match=r"install NI-DAQmx .*`--tool simulated`"), NidaqSource(TOOL):
         pass
     with pytest.raises(ToolError, match=r"install NI-DAQmx .*amplifier NOW"):
         reset_device(TOOL)
@@ -257,7 +257,7 @@ def test_a_board_or_channel_that_is_not_there_is_named(
     rig: Rig, section: str, name: str, value: str, told: str
 ) -> None:
     wrong = getattr(TOOL, section).model_copy(update={name: value})
-    with pytest.raises(ToolError, match=told), NidaqTool(TOOL.model_copy(update={section: wrong}), rig.options):
+    with pytest.raises(ToolError, match=told), NidaqSource(TOOL.model_copy(update={section: wrong}), rig.options):
         pass
     assert rig.board.output_v == 0.0
 
@@ -266,7 +266,7 @@ def test_over_tcp_it_is_the_same_board_and_a_lost_server_is_told() -> None:
     board = SimulatedBoard(TOOL, Ramp(), VirtualClock())
     server, port = serve_tcp(board)
     with insecure_channel(f"127.0.0.1:{port}") as channel:
-        tool = NidaqTool(TOOL, nidaqmx.GrpcSessionOptions(channel, "")).__enter__()
+        tool = NidaqSource(TOOL, nidaqmx.GrpcSessionOptions(channel, "")).__enter__()
         tool.write_command(1.0)
         block = tool.read_block()
         assert list(block.motor_command_v) == [1.0] * 5
@@ -301,9 +301,9 @@ def encrypted(tmp_path: Path):
     server.stop(grace=None).wait()
 
 
-def reached_by(wiring: dict[str, str]) -> NidaqTool:
+def reached_by(wiring: dict[str, str]) -> NidaqSource:
     tool = TOOL.model_copy(update={"kind": ToolKind.NIDAQ, "board": Board(**wiring)})
-    return NidaqTool(tool, session_options(tool))
+    return NidaqSource(tool, create_session_options(tool))
 
 
 def test_over_tls_the_board_is_driven_by_whoever_it_knows(encrypted) -> None:
@@ -326,7 +326,7 @@ def test_over_tls_nobody_else_reaches_it_nor_another_board_in_its_place(encrypte
     for stranger in strangers:
         with pytest.raises(ToolError, match=r"server of Dev1 is lost .* `grpc_ca`"), reached_by(stranger):
             pass
-    assert not board.outputs
+    assert not board.output_changes
 
 
 def test_a_certificate_that_is_not_there_is_named() -> None:

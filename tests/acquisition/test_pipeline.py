@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 from simulation import SIGNALS, cut, joined, raw_block, simulate_raw
 
-from acquisition.blocks import SAMPLE, Flag, SampleBlock
-from acquisition.calibration import from_jaw
-from acquisition.pipeline import Pipeline
-from acquisition.recordings.playing import Recording
+from acquisition.blocks import SAMPLE_DTYPE, SampleBlock, SampleFlag
+from acquisition.calibration import compute_sensor_signals
+from acquisition.pipeline import ConditioningPipeline
+from acquisition.recordings.playing import RecordingSource
 from acquisition.source import RawBlock
 from config.load import load_protocol, load_tool
-from config.schema import Conditioning, Tool
+from config.schema import ConditioningSettings, Tool
 
 TOOL = load_tool("simulated")
 UNSENSED = load_tool("nidaq")
@@ -29,7 +29,7 @@ REST_V = 0.8125  # exact in binary: its mean over any number of samples has no r
 
 
 def process(tool: Tool, blocks: Iterable[RawBlock]) -> np.ndarray:
-    pipeline = Pipeline(tool, Conditioning())
+    pipeline = ConditioningPipeline(tool, ConditioningSettings())
     return np.concatenate([pipeline.process(block).samples for block in blocks])
 
 
@@ -39,12 +39,12 @@ def by_fives(raw: RawBlock) -> list[RawBlock]:
 
 
 def assert_same(samples: np.ndarray, others: np.ndarray, but: str = "") -> None:
-    for name in SAMPLE.names:
+    for name in SAMPLE_DTYPE.names:
         if name != but:
             np.testing.assert_array_equal(samples[name], others[name], err_msg=name)
 
 
-def flagged(samples: np.ndarray, flag: Flag) -> np.ndarray:
+def flagged(samples: np.ndarray, flag: SampleFlag) -> np.ndarray:
     return samples["flags"] & flag != 0
 
 
@@ -52,7 +52,10 @@ def sensors(
     force_n: np.ndarray, displacement_m: np.ndarray, rest_v: float = REST_V, rest_deg: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Strain voltage and encoder angle of a noiseless tool whose jaws do this."""
-    pairs = [from_jaw(TOOL, force, displacement) for force, displacement in zip(force_n, displacement_m, strict=True)]
+    pairs = [
+        compute_sensor_signals(TOOL, force, displacement)
+        for force, displacement in zip(force_n, displacement_m, strict=True)
+    ]
     strain_v, encoder_deg = np.array(pairs).T
     return strain_v + rest_v, encoder_deg + rest_deg
 
@@ -81,7 +84,7 @@ def test_whatever_the_rest_voltage_and_angle_force_and_displacement_are_those_of
     samples = process(TOOL, [raw_block(strain_v, encoder_deg, command_v)])
     np.testing.assert_allclose(samples["jaw_force_n"], force_n, rtol=0, atol=1e-10)
     np.testing.assert_allclose(samples["jaw_displacement_m"], displacement_m, rtol=0, atol=1e-12)
-    assert not flagged(samples, Flag.INVALID | Flag.SATURATED).any()
+    assert not flagged(samples, SampleFlag.INVALID | SampleFlag.SATURATED).any()
 
 
 def test_what_people_look_at_follows_22_ms_late_and_reaches_the_same_plateau() -> None:
@@ -95,7 +98,7 @@ def test_what_people_look_at_follows_22_ms_late_and_reaches_the_same_plateau() -
 
 def test_raw_signals_ticks_and_gaps_are_passed_on_as_they_are() -> None:
     raw = joined(simulate_raw("liver"))
-    pipeline = Pipeline(TOOL, Conditioning())
+    pipeline = ConditioningPipeline(TOOL, ConditioningSettings())
     blocks: list[SampleBlock] = []
     for block in cut(raw, [100, 400]):
         late = replace(block, first_tick=block.first_tick + 7 * len(blocks), lost_samples=7 * bool(blocks))
@@ -168,7 +171,7 @@ def test_force_during_a_grasp_is_not_taken_for_rest() -> None:
 
 @pytest.mark.parametrize("rest_v", [0.82 + 0.051, 0.82 - 0.051, 1.5, 0.0])
 def test_a_rest_voltage_out_of_tolerance_is_not_tared_away(rest_v: float) -> None:
-    pipeline = Pipeline(TOOL, Conditioning())
+    pipeline = ConditioningPipeline(TOOL, ConditioningSettings())
     samples = pipeline.process(raw_block(np.full(300, rest_v))).samples
     assert not pipeline.tare.measured
     assert pipeline.tare.rest_v == TOOL.calibration.rest_offset_v
@@ -197,7 +200,7 @@ def test_noise_at_rest_leaves_no_more_than_the_mean_of_200_samples_does() -> Non
 
 
 def test_a_new_run_tares_anew_what_drifted_since() -> None:
-    pipeline = Pipeline(TOOL, Conditioning())
+    pipeline = ConditioningPipeline(TOOL, ConditioningSettings())
     pipeline.process(raw_block(np.full(400, 0.82)))
     drifted = pipeline.process(raw_block(np.full(400, 0.85))).samples
     tared = pipeline.process(replace(raw_block(np.full(400, 0.85)), run="next")).samples
@@ -213,7 +216,7 @@ def test_a_strain_gage_at_the_end_of_its_range_is_flagged(strain_v: float, satur
     signal = np.full(300, REST_V)
     signal[250] = strain_v
     np.testing.assert_array_equal(
-        flagged(process(TOOL, [raw_block(signal)]), Flag.SATURATED), (np.arange(300) == 250) & saturated
+        flagged(process(TOOL, [raw_block(signal)]), SampleFlag.SATURATED), (np.arange(300) == 250) & saturated
     )
 
 
@@ -221,7 +224,7 @@ def test_a_strain_gage_at_the_end_of_its_range_is_flagged(strain_v: float, satur
 @given(st.integers(0, 10_000))
 def test_no_jaw_signal_is_nan_unless_its_sample_is_flagged_invalid(seed: int) -> None:
     samples = process(TOOL, [wild(seed)])
-    invalid = flagged(samples, Flag.INVALID)
+    invalid = flagged(samples, SampleFlag.INVALID)
     for name in JAW_SIGNALS:
         np.testing.assert_array_equal(np.isnan(samples[name]), invalid)
     assert 0 < invalid.sum() < len(samples)
@@ -232,7 +235,7 @@ def test_no_jaw_signal_is_nan_unless_its_sample_is_flagged_invalid(seed: int) ->
 def test_a_filtered_signal_is_nan_exactly_where_its_own_flag_says_so(seed: int) -> None:
     samples = process(TOOL, [wild(seed)])
     for name in FILTERED:
-        np.testing.assert_array_equal(np.isnan(samples[name]), flagged(samples, Flag.FILTERED_INVALID))
+        np.testing.assert_array_equal(np.isnan(samples[name]), flagged(samples, SampleFlag.FILTERED_INVALID))
 
 
 def wild(seed: int) -> RawBlock:
@@ -284,17 +287,21 @@ def test_a_contact_in_the_block_in_which_the_last_grasp_ends_is_its_own() -> Non
 @pytest.mark.recordings
 @pytest.mark.parametrize(
     ("name", "found"),
-    [("liver4Hz1", Flag.JAWS_SHUT), ("bladder4Hz1", Flag.JAWS_SHUT), ("ureter4Hz1", Flag.ENCODER_SLIPS)],
+    [
+        ("liver4Hz1", SampleFlag.JAWS_CLOSED),
+        ("bladder4Hz1", SampleFlag.JAWS_CLOSED),
+        ("ureter4Hz1", SampleFlag.ENCODER_SLIPS),
+    ],
 )
 def test_on_the_real_tool_every_grasp_shows_shut_jaws_or_an_encoder_that_slips(
-    recordings: list[Path], name: str, found: Flag
+    recordings: list[Path], name: str, found: SampleFlag
 ) -> None:
     path = next(path for path in recordings if path.name.startswith(name))
-    with Recording(path, RIG) as recording:
+    with RecordingSource(path, RIG) as recording:
         samples = process(RIG, iter(recording.read_block, None))
     grasps = range(1, samples["grasp"].max() + 1)
     seen = {
         flag: sum(flagged(samples[samples["grasp"] == grasp], flag).any() for grasp in grasps)
-        for flag in (Flag.JAWS_SHUT, Flag.ENCODER_SLIPS)
+        for flag in (SampleFlag.JAWS_CLOSED, SampleFlag.ENCODER_SLIPS)
     }
-    assert seen == {Flag.JAWS_SHUT: 0, Flag.ENCODER_SLIPS: 0, found: 19}
+    assert seen == {SampleFlag.JAWS_CLOSED: 0, SampleFlag.ENCODER_SLIPS: 0, found: 19}

@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 
 import pytest
 
-from acquisition.process import RealtimePriority, activity_of, serving_priority, start_child
+from acquisition.process import RealtimePriority, read_activity, start_child_process, take_server_priority
 
 
 def may_take_priority() -> bool:
@@ -33,10 +33,10 @@ def tell_own(told: Connection) -> None:
 
 
 def run_wild(told: Connection) -> None:
-    priority = serving_priority(wanted=True)
+    priority = take_server_priority(requested=True)
     told.send(os.sched_getscheduler(0))
     child = multiprocessing.get_context("spawn").Process(target=tell_own, args=(told,))
-    start_child(child)
+    start_child_process(child)
     child.join()
     end_s = time.monotonic() + 10.0
     while os.sched_getscheduler(0) == os.SCHED_FIFO and time.monotonic() < end_s:
@@ -63,12 +63,12 @@ def test_priority_is_lost_by_computing_without_end_and_comes_back() -> None:
 
 def test_it_is_not_taken_unasked() -> None:
     before = os.sched_getscheduler(0)
-    assert str(serving_priority(wanted=False)) == "priority not asked for"
+    assert str(take_server_priority(requested=False)) == "priority not asked for"
     assert os.sched_getscheduler(0) == before
 
 
 def work_off_a_backlog(told: Connection) -> None:
-    priority = RealtimePriority(True, 70, stretch_us=200_000)
+    priority = RealtimePriority(True, 70, cpu_burst_us=200_000)
     end_s = time.monotonic() + 2.0
     while time.monotonic() < end_s:
         priority.renew()
@@ -92,7 +92,7 @@ def test_a_worker_with_a_backlog_is_slowed_down_and_not_ended() -> None:
 
 
 def never_return_from_a_library() -> None:
-    RealtimePriority(True, 10, stretch_us=200_000, last_resort_s=1)
+    RealtimePriority(True, 10, cpu_burst_us=200_000, hard_limit_s=1)
     hashlib.pbkdf2_hmac("sha512", b"", b"", 10**9)
 
 
@@ -109,10 +109,10 @@ def test_a_stopped_process_is_seen_to_be_held_up() -> None:
     try:
         os.kill(process.pid, signal.SIGSTOP)
         os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
-        assert activity_of(process.pid).is_suspended
+        assert read_activity(process.pid).is_suspended
         os.kill(process.pid, signal.SIGCONT)
         os.waitid(os.P_PID, process.pid, os.WCONTINUED | os.WNOWAIT)
-        assert not activity_of(process.pid).is_suspended
+        assert not read_activity(process.pid).is_suspended
     finally:
         process.kill()
         process.join()

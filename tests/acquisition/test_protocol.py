@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from acquisition.protocol import ProtocolPlayer, command_cycle
 from config.errors import GraspwatchError, RefusedError
-from config.load import available, load_protocol, load_tool
-from config.schema import Custom, Protocol, Sine, Tool, Trapezoid
+from config.load import list_shipped_names, load_protocol, load_tool
+from config.schema import CustomWaveform, GraspProtocol, SineWaveform, Tool, TrapezoidWaveform
 
 TOOL = load_tool("simulated")
 RATE_HZ = 1000.0
@@ -20,11 +20,11 @@ TRAPEZOIDS = [(rate + level, RAMP_S[rate], PEAK_V[level]) for rate in RAMP_S for
 
 def trapezoid(
     peak_v: float, up_s: float = 0.1, hold_s: float = 0.2, down_s: float = 0.1, rest_s: float = 0.1
-) -> Protocol:
-    waveform = Trapezoid(
+) -> GraspProtocol:
+    waveform = TrapezoidWaveform(
         shape="trapezoid", peak_v=peak_v, ramp_up_s=up_s, hold_s=hold_s, ramp_down_s=down_s, rest_s=rest_s
     )
-    return Protocol(name="mine", title="Mine", waveform=waveform)
+    return GraspProtocol(name="mine", title="Mine", waveform=waveform)
 
 
 def as_quick_as(max_command_v_per_s: float) -> Tool:
@@ -32,7 +32,7 @@ def as_quick_as(max_command_v_per_s: float) -> Tool:
     return TOOL.model_copy(update={"limits": limits})
 
 
-@pytest.mark.parametrize("name", available("protocols"))
+@pytest.mark.parametrize("name", list_shipped_names("protocols"))
 def test_every_shipped_protocol_passes_the_bound_on_the_rise_and_a_faster_one_is_refused(name: str) -> None:
     fastest = np.diff(command_cycle(load_protocol(name), TOOL)).max() * RATE_HZ
     with pytest.raises(RefusedError, match=r"rises by .* V/s; the tool 'simulated' allows at most .* V/s\. Make"):
@@ -47,12 +47,12 @@ def played(player: ProtocolPlayer, block: int) -> np.ndarray:
     """Commands of a whole run, one a sample, each held for a block."""
     commands: list[float] = []
     while not player.done:
-        commands += [player.advance(block)] * block
+        commands += [player.next_command(block)] * block
     return np.array(commands)
 
 
 def test_all_of_the_papers_protocols_are_shipped() -> None:
-    assert {"sine", *(name for name, _, _ in TRAPEZOIDS)} <= set(available("protocols"))
+    assert {"sine", *(name for name, _, _ in TRAPEZOIDS)} <= set(list_shipped_names("protocols"))
 
 
 @pytest.mark.parametrize(("name", "ramp_s", "peak_v"), TRAPEZOIDS)
@@ -67,7 +67,7 @@ def test_a_shipped_trapezoid_has_the_papers_ramps_peak_hold_and_rest(name: str, 
 
 def test_the_sine_is_a_force_of_2_newton_first_at_2_then_at_4_hz_for_10_s() -> None:
     command_v = command_cycle(load_protocol("sine"), TOOL)
-    force_n = TOOL.command_to_force.force(command_v)
+    force_n = TOOL.command_to_force.to_force_n(command_v)
     assert len(command_v) == 10.5 * RATE_HZ  # with its rest
     assert not command_v[10_000:].any()
     time_s = np.arange(10_000) / RATE_HZ
@@ -84,10 +84,10 @@ def test_a_custom_waveform_goes_straight_from_point_to_point(data: st.DataObject
     times_ms = [0, *np.cumsum(steps_ms).tolist()]
     inner = st.lists(st.floats(0, 3.5), min_size=len(steps_ms) - 1, max_size=len(steps_ms) - 1)
     volts = [0.0, *data.draw(inner), 0.0]
-    waveform = Custom(
+    waveform = CustomWaveform(
         shape="custom", time_s=tuple(time / 1000 for time in times_ms), command_v=tuple(volts), rest_s=0.05
     )
-    command_v = command_cycle(Protocol(name="mine", title="Mine", waveform=waveform), as_quick_as(1e6))
+    command_v = command_cycle(GraspProtocol(name="mine", title="Mine", waveform=waveform), as_quick_as(1e6))
     assert len(command_v) == times_ms[-1] + 50
     np.testing.assert_allclose(command_v[times_ms], volts, rtol=0, atol=1e-9)
     for k, steps in enumerate(steps_ms):
@@ -112,8 +112,8 @@ def test_a_trapezoid_is_played_up_to_the_tools_command_and_refused_beyond(peak_v
 @pytest.mark.parametrize(("peak_n", "refused"), [(2.29, False), (2.31, True)])
 def test_a_sine_is_refused_where_its_force_needs_too_large_a_command(peak_n: float, refused: bool) -> None:
     """3.5 V give 1.55 N + 1.5 V x 0.5 N/V = 2.3 N."""
-    sine = Sine(shape="sine", peak_n=peak_n, first_hz=2.0, then_hz=4.0, then_cycles=1, rest_s=0.5)
-    protocol = Protocol(name="mine", title="Mine", waveform=sine)
+    sine = SineWaveform(shape="sine", peak_n=peak_n, first_hz=2.0, then_hz=4.0, then_cycles=1, rest_s=0.5)
+    protocol = GraspProtocol(name="mine", title="Mine", waveform=sine)
     if not refused:
         assert command_cycle(protocol, TOOL).max() <= 3.5
         return
@@ -155,7 +155,7 @@ def test_it_is_done_right_after_the_last_rest_and_silent_from_then_on() -> None:
     commands = []
     for _ in range(300):  # 0.5 s lead-in and twice 0.5 s, by fives
         assert not player.done
-        commands.append(player.advance(5))
+        commands.append(player.next_command(5))
     assert player.done
     assert max(commands) == 2.0
-    assert [player.advance(5) for _ in range(10)] == [0.0] * 10
+    assert [player.next_command(5) for _ in range(10)] == [0.0] * 10

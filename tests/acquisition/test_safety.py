@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.safety import MOVING, Event, Safety, after
+from acquisition.safety import MOTOR_ACTIVE_STATES, Safety, SafetyEvent, next_state
 from config.errors import RefusedError
 
 TABLE = """
@@ -28,12 +28,14 @@ HEAD, *ROWS = TABLE.strip("\n").splitlines()
 EDGES = [15, 24, 33, 42, 55, 68, 81, 90, None]
 COLUMNS = [slice(begin, end) for begin, end in pairwise(EDGES)]
 EXPECTED = {
-    (Safety(HEAD[column].strip()), Event(row[:15].strip())): row[column].strip() for row in ROWS for column in COLUMNS
+    (Safety(HEAD[column].strip()), SafetyEvent(row[:15].strip())): row[column].strip()
+    for row in ROWS
+    for column in COLUMNS
 }
 
 
 def test_the_table_is_whole():
-    assert set(EXPECTED) == {(state, event) for state in Safety for event in Event}
+    assert set(EXPECTED) == {(state, event) for state in Safety for event in SafetyEvent}
 
 
 @pytest.mark.parametrize(("state", "event"), EXPECTED, ids=str)
@@ -41,27 +43,27 @@ def test_every_state_with_every_event(state, event):
     expected = EXPECTED[state, event]
     if expected == "no":
         with pytest.raises(RefusedError):
-            after(state, event)
+            next_state(state, event)
     else:
-        assert after(state, event) is Safety(expected)
+        assert next_state(state, event) is Safety(expected)
 
 
-@given(st.lists(st.sampled_from(Event), max_size=40))
+@given(st.lists(st.sampled_from(SafetyEvent), max_size=40))
 def test_nothing_but_a_passed_test_and_a_start_makes_the_motor_move_and_a_fault_stays(events):
     state, tested = Safety.DISARMED, False
     for event in events:
         before = state
         try:
-            state = after(state, event)
+            state = next_state(state, event)
         except RefusedError:
             assert state is before
             continue
-        if event is Event.TEST_PASSED:
+        if event is SafetyEvent.TEST_PASSED:
             tested = True
-        elif event in (Event.STOP, Event.DISARM, Event.FAULT):
+        elif event in (SafetyEvent.STOP, SafetyEvent.DISARM, SafetyEvent.FAULT):
             tested = False
-            assert state not in MOVING
-        if state in MOVING:
+            assert state not in MOTOR_ACTIVE_STATES
+        if state in MOTOR_ACTIVE_STATES:
             assert tested
-        if before is Safety.FAULTED and event is not Event.ACKNOWLEDGE:
+        if before is Safety.FAULTED and event is not SafetyEvent.ACKNOWLEDGE:
             assert state is Safety.FAULTED

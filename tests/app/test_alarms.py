@@ -2,7 +2,7 @@
 
 import pytest
 
-from app.alarms import AlarmBook
+from app.alarms import AlarmManager
 from app.wire import Alarm, AlarmKind, Priority
 from config.errors import RefusedError
 from estimator.alarms import ForceAlarm
@@ -16,7 +16,7 @@ class Room:
 
     def __init__(self) -> None:
         self.shown: dict[str, Alarm] = {}
-        self.book = AlarmBook(self._hear)
+        self.book = AlarmManager(self._hear)
 
     def _hear(self, alarm: Alarm) -> None:
         if alarm.active or alarm.latched:
@@ -25,11 +25,13 @@ class Room:
             self.shown.pop(alarm.id)
 
     def force(self, priority: Priority | None, force_n: float | None = None) -> None:
-        self.book.force(ForceAlarm(0, priority, force_n or 2.25 * SHARE[priority], 2.25, "bladder"), at_ms=1.0)
+        self.book.update_force_alarm(
+            ForceAlarm(0, priority, force_n or 2.25 * SHARE[priority], 2.25, "bladder"), at_ms=1.0
+        )
 
     def says(self) -> list[tuple[Priority, bool, str | None]]:
         """Priority, whether its cause is there, and who has acknowledged it."""
-        assert list(self.shown.values()) == self.book.all()
+        assert list(self.shown.values()) == self.book.current_alarms()
         return [(alarm.priority, alarm.active, alarm.acknowledged_by) for alarm in self.shown.values()]
 
     def acknowledge(self, seen: Priority) -> None:
@@ -84,7 +86,7 @@ def test_what_becomes_worse_is_a_new_alarm_to_people(room: Room) -> None:
 def test_the_highest_of_several_peaks_is_the_one_to_know_of(room: Room) -> None:
     for peak_n in (2.4, 3.1, 2.6):
         room.force(HIGH, peak_n)
-        room.book.feel(peak_n - 0.1)  # on its way down
+        room.book.update_peak_force(peak_n - 0.1)  # on its way down
         room.force(None)
     [peak] = room.shown.values()
     assert (peak.value, peak.limit, peak.unit) == (3.1, 2.25, "N")
@@ -93,7 +95,7 @@ def test_the_highest_of_several_peaks_is_the_one_to_know_of(room: Room) -> None:
 def test_the_value_of_a_force_alarm_is_its_highest(room: Room) -> None:
     room.force(HIGH, 2.3)
     for force_n in (2.9, 2.5, None):
-        room.book.feel(force_n)
+        room.book.update_peak_force(force_n)
     room.force(None)
     [peak] = room.shown.values()
     assert peak.value == 2.9
@@ -101,14 +103,14 @@ def test_the_value_of_a_force_alarm_is_its_highest(room: Room) -> None:
 
 def test_when_nobody_tells_of_the_force_any_more_its_alarm_does_not_stay_on_but_the_peak_does(room: Room) -> None:
     room.force(HIGH)
-    room.book.end_force()
+    room.book.end_force_alarm()
     assert room.says() == [(HIGH, False, None)]
 
 
 def test_what_is_over_when_it_is_told_stays_until_it_is_acknowledged(room: Room) -> None:
-    room.book.happened("run", AlarmKind.TECHNICAL, "The run was ended")
+    room.book.raise_latched("run", AlarmKind.TECHNICAL, "The run was ended")
     assert room.says() == [(HIGH, False, None)]
-    assert room.book.technical_texts() == []
+    assert room.book.technical_alarm_texts() == []
     room.acknowledge(HIGH)
     assert room.says() == []
     with pytest.raises(RefusedError, match="no alarm"):
@@ -119,6 +121,6 @@ def test_a_technical_alarm_goes_by_itself(room: Room) -> None:
     room.book.raise_technical("samples", HIGH, "No samples")
     room.book.raise_technical("samples", HIGH, "No samples")
     assert len(room.says()) == 1
-    assert room.book.technical_texts() == ["No samples"]
+    assert room.book.technical_alarm_texts() == ["No samples"]
     room.book.end("samples")
     assert room.says() == []

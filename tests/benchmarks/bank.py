@@ -11,8 +11,8 @@ import numpy as np
 from grasps import conditioned, signals
 
 from config.load import load_library, load_protocol, load_settings, load_tool
-from estimator.bank import Bank
-from estimator.evidence import Evidence
+from estimator.bank import FilterBank
+from estimator.evidence import BankEvidence
 from estimator.reference import ReferenceBank
 
 SAMPLES, BLOCK = 500, 5
@@ -23,8 +23,8 @@ def measure() -> list[dict]:
     samples, _ = conditioned(tool, library, settings, load_protocol("trapezoid_2hz"), "gallbladder")
     contact, after = signals(samples)
     after = after[:SAMPLES]
-    bank = Bank.of(tool, library)
-    evidence = Evidence(bank, library, settings.identification)
+    bank = FilterBank.from_tool(tool, library)
+    evidence = BankEvidence(bank, library, settings.identification)
 
     def compiled() -> None:
         bank.start(contact)

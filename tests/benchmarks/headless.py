@@ -8,9 +8,9 @@ from pathlib import Path
 
 from simulation import joined, simulate_raw, write_lvm
 
-from acquisition.recordings.playing import Recording
+from acquisition.recordings.playing import RecordingSource
 from app.headless import replay_recording, run_protocol
-from app.record.run_file import Rig
+from app.record.run_file import RecordingContext
 from config.load import load_library, load_protocol, load_settings, load_tool
 
 ROUNDS = 3
@@ -30,7 +30,7 @@ def measure() -> list[dict]:
             cycles=10,
             seed=1,
             real_time=False,
-            record=None,
+            recording_path=None,
             progress=lambda _: None,
         )
         return report.samples / report.rate_hz
@@ -55,7 +55,7 @@ def recordings() -> list[Path]:
 
 
 def replay(path, rig, library, settings) -> float:
-    report = replay_recording(Recording(path, rig), Rig(rig, library, settings), lambda _: None)
+    report = replay_recording(RecordingSource(path, rig), RecordingContext(rig, library, settings), lambda _: None)
     return report.samples / report.rate_hz
 
 

@@ -6,8 +6,8 @@ import shutil
 from playwright.sync_api import Page, sync_playwright
 from service import Service
 
-from app.main import STATIC
-from app.wire_schema import frame_layout
+from app.main import STATIC_FOLDER
+from app.wire_schema import describe_frame_layout
 
 SIZE = {"width": 1920, "height": 1080}
 SETTLE_S = 5.0
@@ -50,7 +50,7 @@ PROBE = """
 
 def measure(minutes: float) -> list[dict]:
     """Floors after DASHBOARD and the issue: aims on two cores without a GPU."""
-    probe = PROBE.replace("NEWEST_AT", str(frame_layout()["offsets"]["newest_ms"]))
+    probe = PROBE.replace("NEWEST_AT", str(describe_frame_layout()["offsets"]["newest_ms"]))
     program = shutil.which("chromium") or shutil.which("google-chrome")
     with Service("serve", "--demo") as service, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
@@ -111,10 +111,10 @@ def _heap_mb(page: Page) -> float:
 
 def _bundle_kb() -> float:
     """What the live page loads: the document, and the files that it names."""
-    document = (STATIC / "index.html").read_text(encoding="utf-8")
-    loaded = [path for path in (STATIC / "assets").iterdir() if path.name in document]
-    worker = (STATIC / "assets").glob("ticker.worker-*")
-    return sum(len(gzip.compress(path.read_bytes())) for path in [STATIC / "index.html", *loaded, *worker]) / 1e3
+    document = (STATIC_FOLDER / "index.html").read_text(encoding="utf-8")
+    loaded = [path for path in (STATIC_FOLDER / "assets").iterdir() if path.name in document]
+    worker = (STATIC_FOLDER / "assets").glob("ticker.worker-*")
+    return sum(len(gzip.compress(path.read_bytes())) for path in [STATIC_FOLDER / "index.html", *loaded, *worker]) / 1e3
 
 
 def _row(name: str, value: float, unit: str, floor: str) -> dict:

@@ -9,13 +9,13 @@ from pathlib import Path
 from service import Service, until
 from simulation import joined, simulate_raw, write_lvm
 
-from acquisition.recordings.container import Container
-from acquisition.recordings.playing import Recording
-from app.exchange.exporting import export
-from app.exchange.formats import Format
+from acquisition.recordings.container import McapFile
+from acquisition.recordings.playing import RecordingSource
+from app.exchange.exporting import export_run
+from app.exchange.formats import ExportFormat
 from app.exchange.importing import import_labview
 from app.headless import replay_recording
-from app.record.run_file import Rig
+from app.record.run_file import RecordingContext
 from config.load import load_library, load_settings, load_tool
 
 RUN_S = 60.0
@@ -35,8 +35,8 @@ def _live(folder: Path) -> list[tuple[str, float, str, str]]:
         run = service.run(protocol="trapezoid_2hz", cycles=round(RUN_S / 1.25), tissue="liver")
         busy_s, taken_s = _busy(recorder, lambda: service.finished(run["id"], 2 * RUN_S))
         path = service.data / "recordings" / f"{run['id']}.mcap"
-        until(lambda: Container(path).complete)
-        container = Container(path)
+        until(lambda: McapFile(path).complete)
+        container = McapFile(path)
         minutes = container.message_counts["/raw"] / 60_000
         path.rename(folder / "run.mcap")
         size_mb = (folder / "run.mcap").stat().st_size / 1e6
@@ -60,18 +60,18 @@ def _busy(pid: int, work: Callable[[], object]) -> tuple[float, float]:
 
 
 def _files(folder: Path) -> list[tuple[str, float, str, str]]:
-    rig = Rig(load_tool("smart_tool_2013"), load_library("porcine"), load_settings())
+    rig = RecordingContext(load_tool("smart_tool_2013"), load_library("porcine"), load_settings())
     log = write_lvm(folder / "log.lvm", joined(simulate_raw("liver", "trapezoid_2hz", seed=1, cycles=40)))
     run = folder / "run.mcap"
 
     def replay() -> float:
-        recording = Recording(run, rig.tool)
-        replay_recording(recording, Rig.of_file(recording.container), lambda _: None)
+        recording = RecordingSource(run, rig.tool)
+        replay_recording(recording, RecordingContext.from_file(recording.mcap_file), lambda _: None)
         return recording.duration_s
 
     def take_in() -> float:
         path = import_labview(log, folder, rig, None, lambda _: None)
-        duration_s = Recording(path, rig.tool).duration_s
+        duration_s = RecordingSource(path, rig.tool).duration_s
         path.unlink()
         return duration_s
 
@@ -83,8 +83,8 @@ def _files(folder: Path) -> list[tuple[str, float, str, str]]:
         taken_s = time.perf_counter() - begin
         rows.append((f"{name}, as fast as it goes", duration_s / taken_s, "× real time", "at least 50"))
         rows.append((f"{name}, file", size.stat().st_size / 1e6 / taken_s, "MB/s", ""))
-    for wanted in Format:
+    for wanted in ExportFormat:
         begin = time.perf_counter()
-        export(run, folder / f"out.{wanted.value}", wanted)
+        export_run(run, folder / f"out.{wanted.value}", wanted)
         rows.append((f"export of a minute as {wanted.value}", time.perf_counter() - begin, "s", ""))
     return rows

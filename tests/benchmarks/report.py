@@ -6,8 +6,8 @@ from pathlib import Path
 
 from simulation import joined, simulate_raw, write_lvm
 
-from app.report.page import page
-from app.report.report import read_report, write_whole
+from app.report.page import render_report_page
+from app.report.report import read_report, write_atomically
 from config.load import load_library, load_settings, load_tool
 
 GRASPS = 500
@@ -27,7 +27,7 @@ def measure() -> list[dict]:
         begin = time.perf_counter()
         report = read_report([*files], tool, library, settings, files, lambda _: None)
         read_s = time.perf_counter() - begin
-        write_whole(folder / "report.html", page(report, lambda _: None))
+        write_atomically(folder / "report.html", render_report_page(report, lambda _: None))
         whole_s = time.perf_counter() - begin
         size_mb = (folder / "report.html").stat().st_size / 1e6
     assert len(report.grasps) == GRASPS

@@ -10,7 +10,7 @@ from service import Service, until
 from simulation import joined, simulate_raw, write_lvm
 from watched import Watched
 
-from app.report.page import page as report_page
+from app.report.page import render_report_page as report_page
 from app.report.report import Report, read_report
 
 pytestmark = pytest.mark.browser

@@ -111,7 +111,7 @@ def test_control_is_seen_refused_taken_over_and_given_back(service, watch, token
 
 
 def test_a_page_whose_token_was_taken_back_asks_for_another(service, watch, data):
-    viewer = signed_in(watch, service, tokens.add(data, "Eve", Role.VIEWER))
-    tokens.revoke(data, "Eve")
+    viewer = signed_in(watch, service, tokens.add_token(data, "Eve", Role.VIEWER))
+    tokens.revoke_token(data, "Eve")
     expect(viewer.at("sign-in-token")).to_be_visible()
     expect(viewer.at("tool-kind")).to_have_text("NOT CONNECTED")

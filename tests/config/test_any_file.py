@@ -14,8 +14,16 @@ from hypothesis import strategies as st
 
 from acquisition.protocol import command_cycle
 from config.errors import ConfigurationError, RefusedError
-from config.load import CONFIG_DIR, available, holdable, load_library, load_protocol, load_settings, load_tool
-from config.schema import Protocol, TissueLibrary
+from config.load import (
+    CONFIG_DIR,
+    build_graspable_library,
+    list_shipped_names,
+    load_library,
+    load_protocol,
+    load_settings,
+    load_tool,
+)
+from config.schema import GraspProtocol, TissueLibrary
 
 LOADERS: dict[str, Callable[[str], Any]] = {
     "tools": load_tool,
@@ -23,7 +31,11 @@ LOADERS: dict[str, Callable[[str], Any]] = {
     "protocols": load_protocol,
     ".": lambda path: load_settings(Path(path)),
 }
-FILES = [(folder, name) for folder in LOADERS for name in ([*available(folder)] if folder != "." else ["graspwatch"])]
+FILES = [
+    (folder, name)
+    for folder in LOADERS
+    for name in ([*list_shipped_names(folder)] if folder != "." else ["graspwatch"])
+]
 TOOL = load_tool("simulated")
 ANY_FILE = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -75,14 +87,14 @@ def test_any_value_in_any_place_is_taken_or_told(tmp_path: Path, chance: st.Data
     path = tmp_path / "any.toml"
     path.write_text(tomli_w.dumps(content), encoding="utf-8")
     match load(folder, path):
-        case Protocol() as protocol:
+        case GraspProtocol() as protocol:
             try:
                 assert np.isfinite(command_cycle(protocol, TOOL)).all()
             except RefusedError as error:
                 assert protocol.name in str(error)
         case TissueLibrary() as library:
             assert all(library.threshold_n(tissue) > 0 for tissue in library.tissues)
-            assert set(library.tissues) <= set(holdable(library).tissues)
+            assert set(library.tissues) <= set(build_graspable_library(library).tissues)
 
 
 @ANY_FILE

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from config.errors import ConfigurationError
-from config.load import file_of_tool, load_library, load_tool
+from config.load import find_tool_file, load_library, load_tool
 
 LIBRARY = load_library("porcine")
 MEASURED = """jaw_force_scale = { value = 0.1, low = 0.08, high = 0.12, measured = true, source = "load cell", \
@@ -15,29 +15,29 @@ date = 2026-11-20, expires = 2027-11-20 }"""
 
 def tool_with(folder: Path, scale: str, name: str = "nidaq"):
     """A shipped tool file with another line for the scale."""
-    text = re.sub(r"\[calibration\.jaw_force_scale\](\n|.)*?\n\n", "\n", file_of_tool(name).read_text())
+    text = re.sub(r"\[calibration\.jaw_force_scale\](\n|.)*?\n\n", "\n", find_tool_file(name).read_text())
     path = folder / "tool.toml"
     path.write_text(text.replace("rest_offset_v", f"{scale}\nrest_offset_v", 1))
     return load_tool(str(path))
 
 
 def test_shipped_tools_say_by_which_scale_newtons_are() -> None:
-    assert load_tool("nidaq").scale_in_words == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
-    assert load_tool("smart_tool_2013").scale_in_words == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
-    assert load_tool("simulated").scale_in_words == "N by Eq. (2), scale exactly 1.0: simulated"
+    assert load_tool("nidaq").scale_text == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
+    assert load_tool("smart_tool_2013").scale_text == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
+    assert load_tool("simulated").scale_text == "N by Eq. (2), scale exactly 1.0: simulated"
     assert not load_tool("nidaq").has_known_scale, "a motor, and newtons that nobody measured"
     assert all(load_tool(name).has_known_scale for name in ("smart_tool_2013", "simulated"))
-    assert load_tool("simulated").shown_n(1 / 3) == 1 / 3
+    assert load_tool("simulated").to_displayed_n(1 / 3) == 1 / 3
 
 
 def test_what_protects_tissue_reckons_with_the_upper_end(tmp_path: Path) -> None:
     tool = tool_with(tmp_path, MEASURED)
-    assert tool.scale_in_words == "N by Eq. (2), scale 0.1 (0.08 to 0.12), measured 2026-11-20"
+    assert tool.scale_text == "N by Eq. (2), scale 0.1 (0.08 to 0.12), measured 2026-11-20"
     assert tool.has_known_scale
-    assert tool.shown_n(1.2) == pytest.approx(1.0)
-    for tissue, shown_n in LIBRARY.shown_thresholds_n(tool).items():
+    assert tool.to_displayed_n(1.2) == pytest.approx(1.0)
+    for tissue, shown_n in LIBRARY.displayed_thresholds_n(tool).items():
         assert shown_n == pytest.approx(LIBRARY.threshold_n(tissue) / 1.2)
-    assert tool.constants[-1].expires.isoformat() == "2027-11-20"
+    assert tool.constant_origins[-1].expires.isoformat() == "2027-11-20"
 
 
 @pytest.mark.parametrize("line", ["", "jaw_force_scale = 1.0", "jaw_force_scale = 0.2", "jaw_force_scale = 7"])
@@ -51,7 +51,7 @@ def test_a_number_alone_is_not_measured_and_nothing_narrows_its_interval(tmp_pat
 
 def test_a_simulated_tool_of_before_is_exact(tmp_path: Path) -> None:
     tool = tool_with(tmp_path, "jaw_force_scale = 0.5", "simulated")
-    assert (tool.force_factor, tool.has_known_scale) == (1.0, True)
+    assert (tool.max_force_factor, tool.has_known_scale) == (1.0, True)
 
 
 @pytest.mark.parametrize(

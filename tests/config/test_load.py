@@ -11,11 +11,19 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from config.errors import ConfigurationError
-from config.load import CONFIG_DIR, available, holdable, load_library, load_protocol, load_settings, load_tool
+from config.load import (
+    CONFIG_DIR,
+    build_graspable_library,
+    list_shipped_names,
+    load_library,
+    load_protocol,
+    load_settings,
+    load_tool,
+)
 from config.schema import Settings, TissueLibrary, Tool
 
 LOADERS = {"tools": load_tool, "tissues": load_library, "protocols": load_protocol}
-SHIPPED = [(folder, name) for folder in LOADERS for name in available(folder)]
+SHIPPED = [(folder, name) for folder in LOADERS for name in list_shipped_names(folder)]
 TISSUES = ("liver", "small_bowel", "bladder", "gallbladder")
 TWO_N_MM = {"liver": "0.63", "small_bowel": "0.73", "bladder": "7.6", "gallbladder": "4.2"}
 TWO_N_STRAIN = {"liver": "0.085", "small_bowel": "0.133", "bladder": "0.293", "gallbladder": "0.163"}
@@ -113,13 +121,13 @@ def test_injury_thresholds_are_the_papers(name: str) -> None:
 
 def test_a_simulated_grasper_can_hold_more_than_the_library_has() -> None:
     library = load_library("porcine")
-    wider = holdable(library)
+    wider = build_graspable_library(library)
     assert set(wider.tissues) == set(library.tissues) | set(load_library("strangers").tissues)
     assert all(wider.tissues[name] == profile for name, profile in library.tissues.items())
     assert wider.spread_of("spleen") == load_library("strangers").spread_of("spleen")
 
 
-@pytest.mark.parametrize("name", available("tools"))
+@pytest.mark.parametrize("name", list_shipped_names("tools"))
 def test_every_tool_has_the_papers_geometry_and_calibration(name: str) -> None:
     tool = load_tool(name)
     calibration, geometry = tool.calibration, tool.geometry
@@ -135,11 +143,11 @@ def test_every_tool_has_the_papers_geometry_and_calibration(name: str) -> None:
 @given(st.floats(0, 10))
 def test_command_and_force_maps_undo_each_other_and_pass_the_papers_points(command_v: float) -> None:
     mapping = load_tool("simulated").command_to_force
-    assert float(mapping.command(mapping.force(command_v))) == pytest.approx(command_v, abs=1e-12)
-    np.testing.assert_allclose(mapping.force(np.array([0.0, 0.5, 2.0])), [0.0, 0.8, 1.55], rtol=1e-12)
+    assert float(mapping.to_command_v(mapping.to_force_n(command_v))) == pytest.approx(command_v, abs=1e-12)
+    np.testing.assert_allclose(mapping.to_force_n(np.array([0.0, 0.5, 2.0])), [0.0, 0.8, 1.55], rtol=1e-12)
     slope_n_per_v = (1.55 - 0.8) / 1.5
     if command_v > 0.5:  # the last line goes on beyond its end
-        assert float(mapping.force(command_v)) == pytest.approx(0.8 + slope_n_per_v * (command_v - 0.5), rel=1e-12)
+        assert float(mapping.to_force_n(command_v)) == pytest.approx(0.8 + slope_n_per_v * (command_v - 0.5), rel=1e-12)
 
 
 # --- files with faults -----------------------------------------------------------------------------------------------
@@ -332,7 +340,7 @@ def test_an_unknown_name_is_told_with_what_there_is(folder: str, near: str, mean
     with pytest.raises(ConfigurationError) as caught:
         LOADERS[folder](near)
     assert f"Did you mean {meant!r}?" in str(caught.value)
-    assert all(name in str(caught.value) for name in available(folder))
+    assert all(name in str(caught.value) for name in list_shipped_names(folder))
     with pytest.raises(ConfigurationError, match=r"There is no .* 'xyz'\. There is: "):
         LOADERS[folder]("xyz")
 

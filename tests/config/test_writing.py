@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 
 from config.errors import ConfigurationError
-from config.load import file_of_tool, load_tool
-from config.schema import Measured
-from config.writing import write_calibrated
+from config.load import find_tool_file, load_tool
+from config.schema import ConstantMeasurement
+from config.writing import write_calibrated_tool
 
 DAY = datetime.date(2026, 11, 28)
 EXPIRES = DAY + datetime.timedelta(days=90)
 
 
-def measured(constant: str, value: float, expires: datetime.date = EXPIRES) -> Measured:
-    return Measured(
+def measured(constant: str, value: float, expires: datetime.date = EXPIRES) -> ConstantMeasurement:
+    return ConstantMeasurement(
         constant=constant,
         value=value,
         low=value,
@@ -33,13 +33,13 @@ def measured(constant: str, value: float, expires: datetime.date = EXPIRES) -> M
 
 def write(into: Path, tool: str = "nidaq", value: float = 12.3456789) -> Path:
     values = {"calibration.newton_per_volt": value, "geometry.opening_m": 0.0102}
-    return write_calibrated(tool, values, [measured("newton_per_volt", value)], DAY, into)
+    return write_calibrated_tool(tool, values, [measured("newton_per_volt", value)], DAY, into)
 
 
 def test_only_what_was_measured_is_another(tmp_path: Path) -> None:
     path = write(tmp_path)
     assert path.name == "nidaq-2026-11-28.toml"
-    old, new = tomllib.loads(file_of_tool("nidaq").read_text()), tomllib.loads(path.read_text())
+    old, new = tomllib.loads(find_tool_file("nidaq").read_text()), tomllib.loads(path.read_text())
     assert new["calibration"].pop("newton_per_volt") == 12.3457
     assert new["geometry"].pop("opening_m") == 0.0102
     [how] = new["calibration"].pop("measured")
@@ -47,7 +47,7 @@ def test_only_what_was_measured_is_another(tmp_path: Path) -> None:
     assert how["expires"] == datetime.date(2027, 2, 26)
     del old["calibration"]["newton_per_volt"]
     assert new == old
-    comments = [line.partition("#")[2] for line in file_of_tool("nidaq").read_text().splitlines()]
+    comments = [line.partition("#")[2] for line in find_tool_file("nidaq").read_text().splitlines()]
     assert all(comment in path.read_text() for comment in comments)
 
 
@@ -66,20 +66,20 @@ def test_the_old_one_stays_and_the_next_one_follows_it(tmp_path: Path) -> None:
 
 
 def expired(path: Path, day: datetime.date) -> list[str]:
-    return [each.constant for each in load_tool(str(path)).expired(day)]
+    return [each.constant for each in load_tool(str(path)).find_expired_constants(day)]
 
 
 def test_a_tare_leaves_an_expired_gain_expired_and_says_when_each_was_measured(tmp_path: Path) -> None:
     """Also where the old file states one day for all constants."""
     old = tmp_path / "old.toml"
-    text = file_of_tool("nidaq").read_text()
+    text = find_tool_file("nidaq").read_text()
     old.write_text(text.replace('person = "paper"', 'person = "paper"\nexpires = 2026-11-01', 1))
     others = ["newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "jaw_force_scale"]
     assert set(expired(old, DAY)) == {*others, "rest_offset_v", "strain_sd_v"}
     tared = [measured("rest_offset_v", 0.8), measured("strain_sd_v", 0.002)]
-    path = write_calibrated(str(old), {"calibration.rest_offset_v": 0.8}, tared, DAY, tmp_path)
+    path = write_calibrated_tool(str(old), {"calibration.rest_offset_v": 0.8}, tared, DAY, tmp_path)
     assert set(expired(path, DAY)) == {*others}
-    dates = {each.constant: (each.date, each.expires) for each in load_tool(str(path)).constants}
+    dates = {each.constant: (each.date, each.expires) for each in load_tool(str(path)).constant_origins}
     assert dates["rest_offset_v"] == ("2026-11-28", EXPIRES)
     assert dates["newton_per_volt"] == ("2013-07-09", datetime.date(2026, 11, 1))
     assert set(expired(path, EXPIRES)) == {*others, "rest_offset_v", "strain_sd_v"}

@@ -13,7 +13,7 @@ from simulation import joined, simulate_raw, write_lvm
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from app.live import OF_LIVE, OF_REPLAY
+from app.live import LIVE_VIEWER_MESSAGE, REPLAY_VIEWER_MESSAGE
 
 LIVE, REPLAY = "/api/live", "/api/recordings/liver.lvm/replay"
 NOT_UNDERSTOOD, TOO_LONG = 1007, 1009
@@ -57,7 +57,9 @@ def opened(service: Service, path: str) -> ClientConnection:
 
 def understood(path: str, message: str | bytes) -> bool:
     try:
-        (OF_LIVE if path == LIVE else OF_REPLAY).validate_json(message if isinstance(message, str) else "")
+        (LIVE_VIEWER_MESSAGE if path == LIVE else REPLAY_VIEWER_MESSAGE).validate_json(
+            message if isinstance(message, str) else ""
+        )
     except ValidationError:
         return False
     return True

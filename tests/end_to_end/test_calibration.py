@@ -9,8 +9,8 @@ import pytest
 from service import Service, until
 
 from config.load import CONFIG_DIR, load_tool
-from config.schema import Measured
-from config.writing import write_calibrated
+from config.schema import ConstantMeasurement
+from config.writing import write_calibrated_tool
 
 CALIBRATION = load_tool("simulated").calibration
 
@@ -111,7 +111,7 @@ def test_each_expired_constant_is_told_by_name(tmp_path: Path) -> None:
     text = (CONFIG_DIR / "tools/simulated.toml").read_text()
     old = tmp_path / "old.toml"
     old.write_text(text.replace('person = "simulation"', 'person = "simulation"\nexpires = 2026-11-27', 1))
-    tared = Measured(
+    tared = ConstantMeasurement(
         constant="rest_offset_v",
         value=0.82,
         low=0.81,
@@ -124,7 +124,7 @@ def test_each_expired_constant_is_told_by_name(tmp_path: Path) -> None:
         person="a test",
         expires=date.today() + timedelta(days=90),
     )
-    old = write_calibrated(str(old), {"calibration.rest_offset_v": 0.82}, [tared], date.today(), tmp_path)
+    old = write_calibrated_tool(str(old), {"calibration.rest_offset_v": 0.82}, [tared], date.today(), tmp_path)
     expired = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "opening_m", "strain_sd_v")
     names = ", ".join(f"{name} (2026-11-27)" for name in expired)
     with Service("serve", "--tool", str(old)) as running:

@@ -148,7 +148,7 @@ def test_the_end_of_the_service_ends_the_stream_with_an_error() -> None:
 def test_with_tokens_and_tls_a_program_is_somebody(tmp_path: Path) -> None:
     cert, key = self_signed(tmp_path / "tls")
     trust = ssl.create_default_context(cafile=cert)
-    viewer = tokens.add(tmp_path, "Ward", Role.VIEWER, None)
+    viewer = tokens.add_token(tmp_path, "Ward", Role.VIEWER, None)
 
     async def program(running: Service) -> None:
         url = f"https://localhost:{running.port}"

@@ -13,8 +13,8 @@ import pytest
 from service import PROGRAM, Service, until
 from simulation import joined, simulate_raw, write_lvm
 
-from app.store.database import index_url_of
-from app.store.questions import FileQuestion
+from app.store.database import index_url_from_settings
+from app.store.questions import FileQuery
 from app.store.store import Store
 from config.load import CONFIG_DIR, load_settings
 
@@ -216,8 +216,8 @@ def test_a_run_that_was_deleted_and_restored_is_whole_also_after_a_rebuild_meanw
         assert restored.json() == deleted[0] | {"deleted_at": None, "deleted_by": None}
         assert after.http.get("/api/files").json() == [restored.json()]
     rebuild_index(tmp_path)
-    with contextlib.closing(Store(index_url_of(load_settings(), tmp_path))) as index:
-        assert [each.model_dump(mode="json") for each in index.files(FileQuestion()).items] == [restored.json()]
+    with contextlib.closing(Store(index_url_from_settings(load_settings(), tmp_path))) as index:
+        assert [each.model_dump(mode="json") for each in index.find_files(FileQuery()).items] == [restored.json()]
 
 
 def rebuild_index(data: Path) -> None:

@@ -69,7 +69,7 @@ def test_on_the_error_output_it_speaks_json_where_it_is_told_to(tmp_path: Path) 
 def test_the_file_for_support_has_what_is_asked_for_and_no_secret(tmp_path: Path) -> None:
     config, out = tmp_path / "settings.toml", tmp_path / "help.zip"
     config.write_text('index_url = "sqlite:///index.sqlite?password=hush-hush"\n')
-    token = tokens.add(tmp_path, "Ward", Role.VIEWER, None)
+    token = tokens.add_token(tmp_path, "Ward", Role.VIEWER, None)
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs/graspwatch.jsonl").write_text(f'{{"message": "somebody wrote {token} here"}}\n')
     with Service("serve", data=tmp_path) as running:

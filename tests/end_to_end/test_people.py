@@ -60,13 +60,13 @@ def somebody(service, data):
 
     def come(name, role):
         given.append(name)
-        headers = bearer(tokens.add(data, name, role))
+        headers = bearer(tokens.add_token(data, name, role))
         return httpx.Client(base_url=service.url, headers=headers, timeout=5.0)
 
     yield come
     for name in given:
-        if any(entry.name == name and entry.good for entry in tokens.read(data)):
-            tokens.revoke(data, name)
+        if any(entry.name == name and entry.is_valid for entry in tokens.read_tokens(data)):
+            tokens.revoke_token(data, name)
 
 
 def problem(response, status):
@@ -237,7 +237,7 @@ def test_who_loses_his_token_is_out_at_once(service, token, somebody, data):
     ):
         for live in (program, page, other):
             live.recv(timeout=5)
-        tokens.revoke(data, "Eve")
+        tokens.revoke_token(data, "Eve")
         began = time.monotonic()
         assert eve.get("/api/tool").status_code == browser.get("/api/tool").status_code == 401
         assert (closed_with(program), closed_with(page)) == (4401, 4401)
@@ -395,7 +395,7 @@ def test_over_tls_and_no_secret_is_left_anywhere(certificate, tmp_path):
         assert secret not in printed
         assert not any(secret in response.text for response in said)
         assert not any(secret.encode() in content for content in kept)
-    hashes_kept = [entry.sha256 for entry in tokens.read(data)]
+    hashes_kept = [entry.sha256 for entry in tokens.read_tokens(data)]
     assert not any(each in response.text for each in hashes_kept for response in said)
 
 
@@ -429,7 +429,7 @@ def test_on_this_machine_alone_nobody_needs_a_token_until_there_is_one(tmp_path)
         time.sleep(1.0)  # until this address may ask again
         with connect(running.live_url, max_size=None) as live:
             live.recv(timeout=5)
-            token = tokens.add(running.data, "Ada", Role.ADMIN)
+            token = tokens.add_token(running.data, "Ada", Role.ADMIN)
             problem(running.http.get("/api/tool"), 401)
             assert closed_with(live) == 4401
         assert running.http.get("/api/tool", headers=bearer(token)).status_code == 200

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from service import PROGRAM, Listener, Service, until
 
-from acquisition.recordings.container import Container
-from acquisition.recordings.playing import Recording
+from acquisition.recordings.container import McapFile
+from acquisition.recordings.playing import RecordingSource
 from app.headless import replay_recording
-from app.record.mend import mend
+from app.record.mend import recover_file
 from app.record.reading import read_run
-from app.record.run_file import Rig
+from app.record.run_file import RecordingContext
 from config.load import load_tool
 
 RIG = load_tool("smart_tool_2013")
@@ -36,7 +36,7 @@ def file_of(service: Service, run_id: str) -> Path:
 def recorded(service: Service, run_id: str) -> Path:
     """The run's file once it is whole."""
     path = file_of(service, run_id)
-    until(lambda: path.exists() and Container(path).complete)
+    until(lambda: path.exists() and McapFile(path).complete)
     return path
 
 
@@ -55,17 +55,17 @@ def test_a_run_is_recorded_from_before_its_beginning_and_replays_bit_for_bit(ser
         path = recorded(service, run["id"])
         told = [m["grasp"] for m in listener.of("grasp") if m["run_id"] == run["id"]]
     kept = read_run(path)
-    ticks, begins = kept.samples["tick"], int(kept.about["run_first_tick"])
+    ticks, begins = kept.samples["tick"], int(kept.metadata["run_first_tick"])
     assert (np.diff(ticks) == 1).all()
     assert begins - ticks[0] == 5_000
     assert (kept.estimates["tick"] == ticks).all()
     assert np.isfinite(kept.estimates["alpha_n"]).any()
     assert [grasp.model_dump(mode="json") for grasp in kept.grasps] == told
     assert (kept.run.state, kept.run.by, kept.run.tissue) == ("finished", "Ada", "bladder")
-    recording = Recording(path, RIG)
-    comparison = replay_recording(recording, Rig.of_file(recording.container), lambda _: None).comparison
-    assert comparison.compared == ticks[-1] + 1 - begins
-    assert comparison.unequal == 0
+    recording = RecordingSource(path, RIG)
+    comparison = replay_recording(recording, RecordingContext.from_file(recording.mcap_file), lambda _: None).comparison
+    assert comparison.compared_samples == ticks[-1] + 1 - begins
+    assert comparison.unequal_samples == 0
     listed = {each["name"]: each for each in service.http.get("/api/recordings").json()["recordings"]}
     assert path.name in listed
 
@@ -78,9 +78,9 @@ def test_the_second_run_does_not_depend_on_the_first(service: Service) -> None:
         service.finished(run["id"])
         runs.append(recorded(service, run["id"]))
     for path in runs:
-        recording = Recording(path, RIG)
-        report = replay_recording(recording, Rig.of_file(recording.container), lambda _: None)
-        assert report.comparison.unequal == 0
+        recording = RecordingSource(path, RIG)
+        report = replay_recording(recording, RecordingContext.from_file(recording.mcap_file), lambda _: None)
+        assert report.comparison.unequal_samples == 0
         assert report.grasps[-1].index == 1
 
 
@@ -94,11 +94,11 @@ def test_a_killed_recorder_loses_less_than_a_second_and_the_run_goes_on(service:
         listener.listen(lambda: any("recorder" in m["text"] for m in listener.of("alarm")))
     assert service.finished(run["id"])["state"] == "finished"
     parts = until(lambda: len(found := sorted(path.parent.glob(f"{run['id']}*.mcap"))) == 2 and found)
-    until(lambda: all(Container(part).complete for part in parts))  # the first was made whole by the next recorder
+    until(lambda: all(McapFile(part).complete for part in parts))  # the first was made whole by the next recorder
     first, second = read_run(path), read_run(path.with_name(f"{run['id']}-part2.mcap"))
     assert len(first.samples) > before - 1_000
     assert (np.diff(first.samples["tick"]) == 1).all()
-    assert second.about["continues"] == run["id"]
+    assert second.metadata["continues"] == run["id"]
     assert second.samples["tick"][0] > first.samples["tick"][-1]
     with Listener(service) as listener:
         listener.listen(lambda: listener.of("state"))
@@ -126,7 +126,7 @@ def test_a_full_disk_ends_the_recording_with_an_alarm_and_not_the_run(service: S
     path = file_of(service, run["id"])
     assert path.stat().st_size <= limit
     assert len(read_run(path).samples) > 5_500
-    assert mend(path)
+    assert recover_file(path)
     following = service.run(protocol="trapezoid_2hz", cycles=1, tissue="liver")
     service.finished(following["id"])
     recorded(service, following["id"])
@@ -160,7 +160,7 @@ def test_the_end_of_the_service_makes_the_file_whole_and_the_index_can_be_rebuil
         run = service.run(protocol="trapezoid_2hz", cycles=20, tissue="liver")
         until(lambda: recording_state(service)["samples"] > 6_000)
         service.end()
-        container = Container(file_of(service, run["id"]))
+        container = McapFile(file_of(service, run["id"]))
         assert container.complete
         assert len(read_run(container.path).samples) > 6_000
         live = indexed(service.data)

@@ -16,9 +16,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from acquisition.recordings.lvm import read_lvm
-from acquisition.recordings.playing import Recording
+from acquisition.recordings.playing import RecordingSource
 from app.headless import replay_recording
-from app.record.run_file import Rig
+from app.record.run_file import RecordingContext
 from config.load import CONFIG_DIR, load_library, load_settings, load_tool
 
 RIG, LIBRARY, SETTINGS = load_tool("smart_tool_2013"), load_library("porcine"), load_settings()
@@ -105,7 +105,7 @@ def test_at_ten_times_its_speed_every_sample_comes_once_and_the_grasps_are_those
     assert follow_each_other(ticks(viewer.frames))
     strain_v = np.concatenate([columns[0] for _, columns in viewer.frames])
     assert np.array_equal(strain_v, table[:, 1].astype(np.float32))
-    report = replay_recording(Recording(path, RIG), Rig(RIG, LIBRARY, SETTINGS), lambda _: None)
+    report = replay_recording(RecordingSource(path, RIG), RecordingContext(RIG, LIBRARY, SETTINGS), lambda _: None)
     grasps = [message["grasp"] for message in viewer.of("grasp")]
     assert len(grasps) == CYCLES
     assert [(g["label"], g["probabilities"]) for g in grasps] == [(g.label, g.probabilities) for g in report.grasps]
@@ -303,7 +303,7 @@ def test_a_recording_of_the_real_tool_plays_to_its_end(recordings):
     path = next(path for path in recordings if path.name.startswith("liver4Hz1"))
     with Service("replay", str(path), "--serve") as running, watching(running, path.name, speed=10) as viewer:
         viewer.listen(lambda: at_its_end(viewer))
-        report = replay_recording(Recording(path, RIG), Rig(RIG, LIBRARY, SETTINGS), lambda _: None)
+        report = replay_recording(RecordingSource(path, RIG), RecordingContext(RIG, LIBRARY, SETTINGS), lambda _: None)
         assert [message["grasp"]["label"] for message in viewer.of("grasp")] == [g.label for g in report.grasps]
         assert ticks(viewer.frames)[-1][1] == report.samples
         assert follow_each_other(ticks(viewer.frames))

@@ -12,7 +12,7 @@ from playwright.sync_api import sync_playwright
 from prometheus_client.parser import text_string_to_metric_families
 from service import Service, until
 
-from app.study.desk import StudyDesk
+from app.study.desk import StudyRunner
 
 ENDED_WITHIN_S = 2.0
 
@@ -233,7 +233,7 @@ def test_studies_outlast_the_service_but_their_processes_do_not(service, watched
         processes = processes_at_work(again)
         again.process.kill()
         all_ended(processes)
-    left = StudyDesk(folder, print).get(study["id"])
+    left = StudyRunner(folder, print).get(study["id"])
     assert left.state == "failed"
     assert "service died" in left.why
     assert [record.message for record in caplog.records if "damaged" in record.message]

@@ -6,14 +6,14 @@ from grasps import conditioned, signals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.simulation.tissue import EXACT, Deviation
+from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
 from config.load import load_library, load_protocol, load_settings, load_tool
 from estimator import bank as bank_module
-from estimator.bank import Bank, Contact
-from estimator.filter import LOG_LIKELIHOOD, PARAMETERS, STATES
+from estimator.bank import ContactStart, FilterBank
+from estimator.filter import LOG_LIKELIHOOD, PARAMETERS, STATE_COUNT
 from estimator.reference import ReferenceBank
-from estimator.studies.grasps import Case, simulate
-from estimator.studies.truths import STRANGERS
+from estimator.studies.grasps import GraspCase, simulate_grasp
+from estimator.studies.truths import OUT_OF_LIBRARY
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
 TISSUES = tuple(LIBRARY.tissues)
@@ -21,12 +21,12 @@ BY_NOISE = (7.0, -6e-3)  # N and m per volt, as at the simulated tool's jaws
 
 
 def library_of(names):
-    tissues = {**LIBRARY.tissues, **STRANGERS.tissues}
+    tissues = {**LIBRARY.tissues, **OUT_OF_LIBRARY.tissues}
     return LIBRARY.model_copy(update={"tissues": {name: tissues[name] for name in names}})
 
 
 def started(contact, library=LIBRARY):
-    bank = Bank.of(TOOL, library)
+    bank = FilterBank.from_tool(TOOL, library)
     bank.start(contact)
     return bank
 
@@ -36,10 +36,10 @@ def columns(force_n, displacement_m):
     return np.column_stack([force_n, displacement_m, *each])
 
 
-def simulated(tissue, seed, deviation=EXACT):
+def simulated(tissue, seed, deviation=NO_DEVIATION):
     """One simulated grasp: contact, the samples after it, and the true log parameters."""
-    grasp = simulate(
-        TOOL, LIBRARY, SETTINGS.conditioning, load_protocol("trapezoid_2hz"), Case(tissue, seed, deviation)
+    grasp = simulate_grasp(
+        TOOL, LIBRARY, SETTINGS.conditioning, load_protocol("trapezoid_2hz"), GraspCase(tissue, seed, deviation)
     )
     material = grasp.specimen.material
     return *signals(grasp.samples), np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s])
@@ -53,7 +53,7 @@ def grasp(request):
 
 def followed(bank, samples):
     """Means and variances of all K filters after each sample, (n, K, 9); NaN once diverged."""
-    shape = (len(samples), len(bank.state.mean), STATES)
+    shape = (len(samples), len(bank.state.mean), STATE_COUNT)
     mean, variance = np.full(shape, np.nan), np.full(shape, np.nan)
     for i, sample in enumerate(samples):
         bank.advance(sample[None])
@@ -84,7 +84,7 @@ def test_agrees_with_the_independent_bank_on_filterpy(grasp, sensed, jump_m):
     mean, variance = followed(ours, after)
     with np.errstate(all="ignore"):  # a filter that diverges overflows
         reference_mean, reference_variance = theirs.advance(after)
-    assert brief or not all(theirs.rising)
+    assert brief or not all(theirs.rising_flags)
     for k, name in enumerate(2 * TISSUES):
         swings = name == "bladder" and tissue in ("liver", "small_bowel")
         if swings and jump_m:
@@ -96,7 +96,9 @@ def test_agrees_with_the_independent_bank_on_filterpy(grasp, sensed, jump_m):
         assert np.all(np.abs(mean - reference_mean)[:, k][sound] <= close * sd)
         assert np.allclose(variance[:, k][sound], reference_variance[:, k][sound], rtol=close, atol=0)
         if sound.all() and not swings:
-            assert ours.state.fit[k, LOG_LIKELIHOOD] == pytest.approx(theirs.filters[k].log_likelihood_sum, abs=1e-6)
+            assert ours.state.fit_statistics[k, LOG_LIKELIHOOD] == pytest.approx(
+                theirs.filters[k].log_likelihood_sum, abs=1e-6
+            )
 
 
 def test_the_right_filters_find_the_specimen(grasp):
@@ -123,20 +125,20 @@ def test_the_right_filters_innovations_are_white(grasp):
     bank = started(contact)
     bank.advance(after)
     own = TISSUES.index(tissue)
-    assert 0.7 < bank.misfit()[own] < 1.3
-    assert 0.4 < bank.misfit()[own + len(TISSUES)] < 1.3
+    assert 0.7 < bank.compute_mean_nis()[own] < 1.3
+    assert 0.4 < bank.compute_mean_nis()[own + len(TISSUES)] < 1.3
 
 
 @pytest.mark.parametrize("tissue", ["liver", "small_bowel", "gallbladder"])
 def test_the_data_say_which_kind_of_filter_is_right(tissue):
     """Bladder is left out: 30 % of its force is less than what even the lenient filters' damping is wrong by."""
     own, after_s = TISSUES.index(tissue), 0.3
-    for deviation, lenient_wins in ((EXACT, False), (Deviation(relaxed_share=0.3), True)):
+    for deviation, lenient_wins in ((NO_DEVIATION, False), (ModelDeviation(relaxed_share=0.3), True)):
         for seed in range(3):
             contact, after, _ = simulated(tissue, seed, deviation)
             bank = started(contact)
             bank.advance(after[: int(after_s * TOOL.board.sample_rate_hz)])
-            strict, lenient = bank.state.fit[[own, own + len(TISSUES)], LOG_LIKELIHOOD]
+            strict, lenient = bank.state.fit_statistics[[own, own + len(TISSUES)], LOG_LIKELIHOOD]
             assert (lenient > strict) == lenient_wins
 
 
@@ -162,7 +164,7 @@ def test_second_passes_bring_the_parameters_nearer_to_the_truth(monkeypatch):
 def test_the_result_does_not_depend_on_how_samples_are_cut(cuts, seed):
     rng = np.random.default_rng(seed)
     after = columns(np.linspace(0, 1.5, 299) + rng.normal(0, 0.015, 299), np.linspace(0, 5e-4, 299))
-    contact = Contact(np.array([0.0, 0.0, *BY_NOISE, 0.0]))
+    contact = ContactStart(np.array([0.0, 0.0, *BY_NOISE, 0.0]))
     whole, pieces = started(contact), started(contact)
     mean, variance = whole.advance(after)
     parts = [pieces.advance(after[a:b]) for a, b in itertools.pairwise([0, *sorted(set(cuts)), 299])]
@@ -177,13 +179,13 @@ def test_the_result_does_not_depend_on_how_samples_are_cut(cuts, seed):
     peak=st.floats(0.05, 5.0),
     travel=st.floats(1e-6, 1e-2),
     noise=st.floats(0.0, 0.1),
-    names=st.lists(st.sampled_from([*LIBRARY.tissues, *STRANGERS.tissues]), min_size=1, max_size=7, unique=True),
+    names=st.lists(st.sampled_from([*LIBRARY.tissues, *OUT_OF_LIBRARY.tissues]), min_size=1, max_size=7, unique=True),
 )
 def test_covariances_stay_symmetric_and_positive_whatever_comes(seed, peak, travel, noise, names):
     rng = np.random.default_rng(seed)
     ramp = np.minimum(np.linspace(0, 3, 400), 1.0)
     after = columns(peak * ramp + rng.normal(0, noise, 400), travel * ramp + rng.normal(0, noise * 1e-3, 400))
-    bank = started(Contact(np.array([0.0, 0.0, *BY_NOISE, 0.0])), library_of(names))
+    bank = started(ContactStart(np.array([0.0, 0.0, *BY_NOISE, 0.0])), library_of(names))
     mean, variance = bank.advance(after)
     assert np.array_equal(np.isfinite(mean), np.isfinite(variance))
     assert (variance[np.isfinite(variance)] >= 0).all()
@@ -199,17 +201,17 @@ def test_covariances_stay_symmetric_and_positive_whatever_comes(seed, peak, trav
 
 def test_filters_fed_with_nonsense_are_marked_invalid_not_shown():
     rng = np.random.default_rng(0)
-    bank = started(Contact(np.array([0.0, 0.0, *BY_NOISE, 0.0])))
+    bank = started(ContactStart(np.array([0.0, 0.0, *BY_NOISE, 0.0])))
     mean, _ = bank.advance(columns(rng.uniform(-50, 50, 300), rng.uniform(-0.02, 0.02, 300)))
     assert np.isnan(mean[-1]).all()
-    assert bank.best() == -1
+    assert bank.find_most_likely() == -1
 
 
 @pytest.mark.parametrize("column", range(4), ids=["force", "displacement", "N/V", "m/V"])
 def test_a_nan_in_the_input_never_comes_out_as_an_estimate(column):
     after = columns(np.linspace(0, 1, 50), np.linspace(0, 3e-4, 50))
     after[20, column] = np.nan
-    bank = started(Contact(np.array([0.0, 0.0, *BY_NOISE, 0.0])))
+    bank = started(ContactStart(np.array([0.0, 0.0, *BY_NOISE, 0.0])))
     mean, variance = bank.advance(after)
     assert np.isfinite(mean[19]).any()
     assert np.isnan(mean[20:]).all()
@@ -217,13 +219,15 @@ def test_a_nan_in_the_input_never_comes_out_as_an_estimate(column):
     assert not bank.state.valid.any()
 
 
-@pytest.mark.parametrize("names", [TISSUES[3:], TISSUES[2:], TISSUES, (*STRANGERS.tissues, TISSUES[3])[-7:]], ids=len)
+@pytest.mark.parametrize(
+    "names", [TISSUES[3:], TISSUES[2:], TISSUES, (*OUT_OF_LIBRARY.tissues, TISSUES[3])[-7:]], ids=len
+)
 def test_takes_a_library_of_any_size(names):
     """A tissue's own filter is the same, whatever else is in the library."""
     contact, after, _ = simulated("gallbladder", 1)
     bank, whole = started(contact, library_of(names)), started(contact)
     mean, _ = bank.advance(after[:100])
     whole_mean, _ = whole.advance(after[:100])
-    assert mean.shape == (100, len(names), STATES)
+    assert mean.shape == (100, len(names), STATE_COUNT)
     assert np.array_equal(mean[:, -1], whole_mean[:, -1])
-    assert bank.best() % len(names) == len(names) - 1
+    assert bank.find_most_likely() % len(names) == len(names) - 1

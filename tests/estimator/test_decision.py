@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from config.schema import Identification, Warnings
-from estimator.alarms import ForceWarnings, Priority
+from config.schema import IdentificationSettings, WarningSettings
+from estimator.alarms import ForceAlarmMonitor, Priority
 from estimator.criteria import ForceErrors
 from estimator.decision import UNDECIDED, Decision
 
@@ -10,7 +10,7 @@ NAMES = ("liver", "bladder", "unknown")
 
 
 def test_names_at_the_bound_keeps_the_name_and_withdraws_it_below():
-    decision = Decision(NAMES, Identification(decide_at=0.8, withdraw_below=0.6, confirm_s=0), rate_hz=1000)
+    decision = Decision(NAMES, IdentificationSettings(decide_at=0.8, withdraw_below=0.6, confirm_s=0), rate_hz=1000)
     course = [
         ([0.7, 0.2, 0.1], UNDECIDED),
         ([0.85, 0.1, 0.05], "liver"),
@@ -25,7 +25,7 @@ def test_names_at_the_bound_keeps_the_name_and_withdraws_it_below():
 
 
 def test_a_probability_that_only_flares_up_names_nothing():
-    decision = Decision(NAMES, Identification(decide_at=0.8, withdraw_below=0.6, confirm_s=0.03), rate_hz=1000)
+    decision = Decision(NAMES, IdentificationSettings(decide_at=0.8, withdraw_below=0.6, confirm_s=0.03), rate_hz=1000)
     for tick in range(0, 200, 5):
         flare = 0.9 if tick % 40 < 30 else 0.7  # never 30 ms in a row
         decision.update(np.array([flare, 1 - flare, 0.0]), tick)
@@ -36,7 +36,7 @@ def test_a_probability_that_only_flares_up_names_nothing():
 
 
 def test_unknown_is_an_answer_of_equal_rank():
-    decision = Decision(NAMES, Identification(confirm_s=0), rate_hz=1000)
+    decision = Decision(NAMES, IdentificationSettings(confirm_s=0), rate_hz=1000)
     decision.update(np.array([0.02, 0.03, 0.95]), 7)
     assert (decision.label, decision.decided_tick) == ("unknown", 7)
 
@@ -46,21 +46,21 @@ def test_convergence_is_the_latest_moment_after_which_the_error_stays_inside():
     force = np.array([0.5, 1.0, 2.0, 2.0, 2.0])
     errors = np.array([[0.4, 0.0, 0.1], [0.1, 0.0, 0.1], [-0.4, 0.0, 0.1], [0.2, 0.0, 0.1], [0.1, 0.0, 0.5]])
     criteria = ForceErrors(3, 0.15)
-    criteria.add(force[:2, None] + errors[:2], force[:2])
-    criteria.add(force[2:, None] + errors[2:], force[2:])
+    criteria.append(force[:2, None] + errors[:2], force[:2])
+    criteria.append(force[2:, None] + errors[2:], force[2:])
     assert criteria.convergence_samples() == pytest.approx([3, 0, np.nan], nan_ok=True)
     assert criteria.mean_error_n() == pytest.approx([0.08, 0.0, 0.18])
 
 
 def test_a_filter_without_estimates_has_neither_convergence_nor_error():
     criteria = ForceErrors(2, 0.15)
-    criteria.add(np.array([[1.0, np.nan], [1.0, np.nan]]), np.ones(2))
+    criteria.append(np.array([[1.0, np.nan], [1.0, np.nan]]), np.ones(2))
     assert criteria.convergence_samples() == pytest.approx([0, np.nan], nan_ok=True)
     assert criteria.mean_error_n() == pytest.approx([0.0, np.nan], nan_ok=True)
 
 
 def test_warnings_rise_at_70_90_100_percent_and_fall_with_hysteresis():
-    warnings = ForceWarnings(Warnings())
+    warnings = ForceAlarmMonitor(WarningSettings())
     changes = []
     for tick, force in enumerate([0.5, 0.71, 0.69, 0.64, 0.95, 1.02, 0.97, 0.92, 0.5]):
         change = warnings.update(tick, force, 1.0, None)
@@ -77,6 +77,6 @@ def test_warnings_rise_at_70_90_100_percent_and_fall_with_hysteresis():
 
 
 def test_a_warning_follows_the_threshold_of_the_tissue_named():
-    warnings = ForceWarnings(Warnings())
+    warnings = ForceAlarmMonitor(WarningSettings())
     assert warnings.update(0, 2.1, 2.25, None).priority is Priority.MEDIUM
     assert warnings.update(1, 2.1, 5.63, "small_bowel").priority is None

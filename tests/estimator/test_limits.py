@@ -7,20 +7,20 @@ import pytest
 from grasps import by, conditioned, processed
 from simulation import WatchedGrasper
 
-from acquisition.blocks import Flag
-from acquisition.control import Acquisition
-from acquisition.limiter import AIM_SHARE, HoldBack
-from acquisition.nidaq import NidaqTool
+from acquisition.blocks import SampleFlag
+from acquisition.control import AcquisitionController
+from acquisition.limiter import SETPOINT_SHARE, ForceLimiter
+from acquisition.nidaq import NidaqSource
 from acquisition.protocol import ProtocolPlayer
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
-from acquisition.simulation.service import in_process_options
+from acquisition.simulation.service import create_in_process_options
 from config.load import load_library, load_protocol, load_settings, load_tool
-from estimator.blocks import Identification
-from estimator.constants import FILLED_MARGIN_M
-from estimator.session import EstimationSession
+from estimator.blocks import IdentificationResult
+from estimator.constants import FILLED_JAWS_MARGIN_M
+from estimator.session import TissueEstimator
 from estimator.studies.grasps import without_touch
-from estimator.worker import limit_of
+from estimator.worker import to_threshold_update
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
 MARGIN, LOWEST_N = SETTINGS.limiter.margin, LIBRARY.lowest_threshold_n
@@ -31,10 +31,10 @@ CYCLES = 4
 class Run:
     samples: np.ndarray
     force_n: np.ndarray  # true, sample by sample
-    found: list[Identification]  # block by block
+    found: list[IdentificationResult]  # block by block
     limit_n: list[float]  # block by block, that a limiter of our own enforces meanwhile
 
-    def before(self, tick: int) -> Identification:
+    def before(self, tick: int) -> IdentificationResult:
         """What was known when the command for the block that begins at `tick` was set: a block earlier."""
         return self.found[tick // 5 - 2]
 
@@ -42,26 +42,29 @@ class Run:
 def run(tissue: str, protocol: str = "strong_2hz", seed: int = 1, cycles: int = CYCLES) -> Run:
     grasper = WatchedGrasper(TOOL, LIBRARY, tissue, seed)
     board = SimulatedBoard(TOOL, grasper, VirtualClock())
-    session = EstimationSession(TOOL, LIBRARY, SETTINGS)
+    session = TissueEstimator(TOOL, LIBRARY, SETTINGS)
     blocks, found, limit_n, command_v = [], [], [], 0.0
-    limiter, player = HoldBack(TOOL, LIBRARY, SETTINGS.limiter), ProtocolPlayer(load_protocol(protocol), TOOL, cycles)
-    with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
-        acquisition = Acquisition(
-            source, TOOL, SETTINGS.conditioning, HoldBack(TOOL, LIBRARY, SETTINGS.limiter), Safety.ARMED
+    limiter, player = (
+        ForceLimiter(TOOL, LIBRARY, SETTINGS.limiter),
+        ProtocolPlayer(load_protocol(protocol), TOOL, cycles),
+    )
+    with NidaqSource(TOOL, create_in_process_options(board), board.clock.now_ns) as source:
+        acquisition = AcquisitionController(
+            source, TOOL, SETTINGS.conditioning, ForceLimiter(TOOL, LIBRARY, SETTINGS.limiter), Safety.ARMED
         )
         acquisition.start("run", load_protocol(protocol), cycles)
-        while not acquisition.take_ended():
-            block = acquisition.turn()
+        while not acquisition.pop_ended_runs():
+            block = acquisition.process_block()
             blocks.append(block.samples)
             found.append(session.process(block).identification)
-            limit = limit_of(found[-1])
-            acquisition.allow(limit.threshold_n, limit.tick)
+            limit = to_threshold_update(found[-1])
+            acquisition.set_threshold(limit.threshold_n, limit.tick)
             limit_n.append(limiter.limit_n)
             if not player.done:
                 on_v = [command_v] * len(block.samples)
-                command_v, _ = limiter.judge(block.samples, on_v, player.advance(len(block.samples)))
-            limiter.allow(limit.threshold_n, limit.tick)
-        assert not acquisition.take_let_go()
+                command_v, _ = limiter.limit_command(block.samples, on_v, player.next_command(len(block.samples)))
+            limiter.set_threshold(limit.threshold_n, limit.tick)
+        assert not acquisition.pop_release_reasons()
     return Run(np.concatenate(blocks), np.array(grasper.forces_n), found, limit_n)
 
 
@@ -86,8 +89,8 @@ def test_soft_tissues_are_held_at_four_fifths_of_their_threshold(runs: dict[str,
     assert hold_n == pytest.approx(1.80, abs=0.005)
     assert found.force_n.max() < hold_n
     for grasp in range(1, CYCLES + 1):
-        own = (found.samples["grasp"] == grasp) & (found.samples["flags"] & Flag.HELD_BACK > 0)
-        assert np.median(found.force_n[own]) == pytest.approx(AIM_SHARE * hold_n, rel=0.02)
+        own = (found.samples["grasp"] == grasp) & (found.samples["flags"] & SampleFlag.LIMITED > 0)
+        assert np.median(found.force_n[own]) == pytest.approx(SETPOINT_SHARE * hold_n, rel=0.02)
 
 
 def test_a_named_liver_gets_its_own_limit_and_one_that_is_not_named_the_lowest() -> None:
@@ -110,7 +113,7 @@ def test_what_is_told_is_what_the_limiter_does(runs: dict[str, Run], tissue: str
         flags = found.samples["flags"][5 * number + 4]
         assert each.limit_n == found.limit_n[number]
         assert {*found.samples["limit_n"][5 * number : 5 * number + 5]} == {each.limit_n}
-        assert each.holding_back == bool(flags & Flag.HELD_BACK)
+        assert each.holding_back == bool(flags & SampleFlag.LIMITED)
     assert any(each.holding_back for each in found.found)
     assert not found.found[-1].holding_back
 
@@ -118,7 +121,7 @@ def test_what_is_told_is_what_the_limiter_does(runs: dict[str, Run], tissue: str
 def test_before_the_force_is_held_the_limit_is_foreseen(runs: dict[str, Run]) -> None:
     for tissue in ("bladder", "gallbladder"):
         found = runs[tissue]
-        held = int(np.flatnonzero(found.samples["flags"] & Flag.HELD_BACK)[0])
+        held = int(np.flatnonzero(found.samples["flags"] & SampleFlag.LIMITED)[0])
         assert 0.0 < found.before(held).time_to_limit_s < 0.1
         later = found.found[held // 5 + 40 : held // 5 + 60]  # 0.2 s later the force is held
         assert [each.time_to_limit_s for each in later] == [None] * 20
@@ -134,9 +137,9 @@ def test_a_limit_that_rises_is_told_as_it_rises_and_differs_from_the_threshold_m
 def test_the_sine_of_the_paper_is_held_at_its_tops_and_nowhere_else() -> None:
     """It asks for 2.0 N, which no unnamed tissue gets."""
     found = run("gallbladder", "sine", cycles=1)
-    held = found.samples["flags"] & Flag.HELD_BACK > 0
+    held = found.samples["flags"] & SampleFlag.LIMITED > 0
     assert found.force_n.max() < MARGIN * LOWEST_N
-    commanded_n = TOOL.command_to_force.force(found.samples["motor_command_v"][held])
+    commanded_n = TOOL.command_to_force.to_force_n(found.samples["motor_command_v"][held])
     assert commanded_n.min() > 0.75 * MARGIN * LOWEST_N
     assert 0.1 < held.mean() < 0.3
 
@@ -145,7 +148,7 @@ def test_the_sine_of_the_paper_is_held_at_its_tops_and_nowhere_else() -> None:
 
 
 def thickness_m(samples: np.ndarray, tool=TOOL, settings=SETTINGS) -> float | None:
-    blocks, _ = processed(EstimationSession(tool, LIBRARY, settings), samples, by(samples, 5))
+    blocks, _ = processed(TissueEstimator(tool, LIBRARY, settings), samples, by(samples, 5))
     held = [block.identification.thickness_m for block in blocks if block.identification.in_contact]
     assert len(set(held)) == 1
     before = [block.identification.thickness_m for block in blocks if block.identification.grasp == 0]
@@ -160,7 +163,7 @@ def test_the_thickness_at_contact_is_told_whether_or_not_it_is_evidence(used: bo
     for seed in range(3):
         for tissue in ("liver", "small_bowel"):
             samples, specimen = conditioned(TOOL, LIBRARY, SETTINGS, load_protocol("trapezoid_2hz"), tissue, seed)
-            if TOOL.geometry.opening_m - specimen.thickness_m > 2 * FILLED_MARGIN_M:
+            if TOOL.geometry.opening_m - specimen.thickness_m > 2 * FILLED_JAWS_MARGIN_M:
                 # a touch is told a sample late, up to 0.1 mm at 100 mm/s; the strain noise adds to it
                 assert thickness_m(samples, settings=settings) == pytest.approx(specimen.thickness_m, abs=0.2e-3)
 

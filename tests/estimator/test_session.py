@@ -9,13 +9,13 @@ from grasps import by, conditioned, processed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.blocks import Flag
+from acquisition.blocks import SampleFlag
 from config.load import load_library, load_protocol, load_settings, load_tool
-from estimator.constants import EMPTY_JAWS_M
+from estimator.constants import EMPTY_JAWS_TRAVEL_M
 from estimator.decision import UNDECIDED, UNKNOWN
-from estimator.session import EstimationSession, RestNoise
-from estimator.studies.grasps import Case, simulate, with_noise, without_touch
-from estimator.studies.truths import SLIPPING, STRANGERS
+from estimator.session import RestNoiseEstimator, TissueEstimator
+from estimator.studies.grasps import GraspCase, simulate_grasp, with_noise, without_touch
+from estimator.studies.truths import OUT_OF_LIBRARY, SLIPPING_DEVIATION
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
 SIGNALS = ("jaw_force_n", "jaw_displacement_m", "newton_per_volt", "metre_per_volt")
@@ -27,7 +27,7 @@ def held_in(tissue, seed=1, cycles=1, protocol=FAST, tool=TOOL):
 
 
 def answered(samples, size=5, tool=TOOL, library=LIBRARY):
-    return processed(EstimationSession(tool, library, SETTINGS), samples, by(samples, size))
+    return processed(TissueEstimator(tool, library, SETTINGS), samples, by(samples, size))
 
 
 def estimated(samples, size=5, tool=TOOL):
@@ -56,7 +56,7 @@ def test_names_the_tissue_of_simulated_grasps(tissue, protocol):
 def test_names_it_too_where_contact_is_not_sensed(tissue):
     blind = without_touch(TOOL)
     samples = held_in(tissue, seed=5, cycles=8, tool=blind)
-    assert not (samples["flags"] & Flag.CONTACT_SENSED).any()
+    assert not (samples["flags"] & SampleFlag.CONTACT_SENSED).any()
     records, _ = estimated(samples, tool=blind)
     assert most_named(records) == tissue
 
@@ -107,7 +107,7 @@ def test_the_record_measures_the_grasp():
 
 def test_a_slipping_encoder_is_not_believed():
     samples = held_in("liver")
-    samples["flags"][samples["contact_tick"] >= 0] |= np.uint16(Flag.ENCODER_SLIPS)
+    samples["flags"][samples["contact_tick"] >= 0] |= np.uint16(SampleFlag.ENCODER_SLIPS)
     (record,), _ = estimated(samples)
     assert record.label not in LIBRARY.tissues
     assert not record.valid
@@ -122,14 +122,14 @@ def test_what_the_wall_taught_is_taken_back():
     walled = samples[: known + 100].copy()
     walled["jaw_force_n"][until:] += np.linspace(0, 20, len(walled) - until)  # shut: force without motion
     walled["wall_tick"][known:] = walled["tick"][until]
-    walled["flags"][known:] |= np.uint16(Flag.JAWS_SHUT)
+    walled["flags"][known:] |= np.uint16(SampleFlag.JAWS_CLOSED)
     (after,), rows = estimated(walled)
     assert after.alpha_n == pytest.approx(honest.alpha_n, rel=1e-6)
     assert after.label == honest.label == "bladder"
     assert np.isnan(rows["alpha_n"][known + 5 :]).all()
 
 
-@pytest.mark.parametrize("pressed_m, is_empty", [(0.8 * EMPTY_JAWS_M, True), (1.5 * EMPTY_JAWS_M, False)])
+@pytest.mark.parametrize("pressed_m, is_empty", [(0.8 * EMPTY_JAWS_TRAVEL_M, True), (1.5 * EMPTY_JAWS_TRAVEL_M, False)])
 def test_jaws_that_shut_right_after_contact_hold_nothing(pressed_m, is_empty):
     samples = held_in("gallbladder")
     contact = np.flatnonzero(samples["contact_tick"] >= 0)[0]
@@ -138,7 +138,7 @@ def test_jaws_that_shut_right_after_contact_hold_nothing(pressed_m, is_empty):
     known = contact + 300
     walled = samples[: known + 50].copy()
     walled["wall_tick"][known:] = walled["tick"][until]
-    walled["flags"][known:] |= np.uint16(Flag.JAWS_SHUT)
+    walled["flags"][known:] |= np.uint16(SampleFlag.JAWS_CLOSED)
     blocks, (record,) = answered(walled)
     assert blocks[known // 5 - 1].identification.label == "gallbladder"
     assert (record.label == UNKNOWN) == is_empty
@@ -147,8 +147,8 @@ def test_jaws_that_shut_right_after_contact_hold_nothing(pressed_m, is_empty):
 
 def test_empty_jaws_are_unknown():
     for seed in range(4):
-        case = Case("empty_jaws", seed, held=STRANGERS)
-        _, (record,) = answered(simulate(TOOL, LIBRARY, SETTINGS.conditioning, FAST, case).samples)
+        case = GraspCase("empty_jaws", seed, tissue_library=OUT_OF_LIBRARY)
+        _, (record,) = answered(simulate_grasp(TOOL, LIBRARY, SETTINGS.conditioning, FAST, case).samples)
         assert record.label == UNKNOWN
 
 
@@ -157,7 +157,7 @@ def lose(samples, after_contact, count):
     first = np.flatnonzero(samples["contact_tick"] >= 0)[after_contact]
     for name in SIGNALS:
         samples[name][first : first + count] = np.nan
-    samples["flags"][first : first + count] |= np.uint16(Flag.INVALID)
+    samples["flags"][first : first + count] |= np.uint16(SampleFlag.INVALID)
     return slice(first, first + count)
 
 
@@ -196,7 +196,7 @@ def test_a_nan_at_rest_does_not_spoil_the_next_grasp():
 def test_a_name_that_is_lost_with_its_grasp_is_withdrawn_with_the_reason():
     samples = held_in("bladder")
     held = np.flatnonzero(samples["contact_tick"] >= 0)
-    samples["flags"][held[300:]] |= np.uint16(Flag.ENCODER_SLIPS)
+    samples["flags"][held[300:]] |= np.uint16(SampleFlag.ENCODER_SLIPS)
     blocks, _ = answered(samples)
     told = [withdrawal for block in blocks for withdrawal in block.withdrawn]
     assert [(one.label, one.why) for one in told] == [("bladder", "encoder slips or walks")]
@@ -246,7 +246,7 @@ def test_no_fault_of_the_samples_comes_out_as_a_value(tissue, faults):
             for name in SIGNALS:
                 samples[name][where] = np.nan
             if kind == "invalid":
-                samples["flags"][where] |= np.uint16(Flag.INVALID)
+                samples["flags"][where] |= np.uint16(SampleFlag.INVALID)
     samples = samples[kept]
     blocks, records = answered(samples)
     rows = np.concatenate([block.estimates for block in blocks])
@@ -289,8 +289,8 @@ def test_a_withdrawn_name_is_told_exactly_once():
     told = 0
     for tissue in LIBRARY.tissues:
         for seed in range(3):
-            case = Case(tissue, seed, SLIPPING)
-            samples = simulate(TOOL, LIBRARY, SETTINGS.conditioning, FAST, case).samples
+            case = GraspCase(tissue, seed, SLIPPING_DEVIATION)
+            samples = simulate_grasp(TOOL, LIBRARY, SETTINGS.conditioning, FAST, case).samples
             blocks, _ = answered(samples)
             changes = [
                 (before.identification.label, block.identification.tick)
@@ -327,8 +327,8 @@ def test_force_over_the_threshold_in_force_warns():
 
 
 def rest_noise(strain_v):
-    rest = RestNoise(TOOL)
-    rest.take(list(strain_v), at_rest=True)
+    rest = RestNoiseEstimator(TOOL)
+    rest.update(list(strain_v), at_rest=True)
     return math.sqrt(rest.variance_v2())
 
 
@@ -365,13 +365,13 @@ def test_rest_noise_falls_back_to_the_tool_file_with_too_few_samples():
 
 def test_rest_noise_leaves_grasps_and_what_follows_them_out():
     rng = np.random.default_rng(3)
-    rest = RestNoise(TOOL)
-    rest.take(rng.normal(0.8, 2e-3, 500).tolist(), at_rest=True)
+    rest = RestNoiseEstimator(TOOL)
+    rest.update(rng.normal(0.8, 2e-3, 500).tolist(), at_rest=True)
     before = rest.variance_v2()
-    rest.take(rng.normal(1.5, 0.3, 500).tolist(), at_rest=False)
-    rest.take(rng.normal(0.8, 0.3, 100).tolist(), at_rest=True)  # the jaws open
+    rest.update(rng.normal(1.5, 0.3, 500).tolist(), at_rest=False)
+    rest.update(rng.normal(0.8, 0.3, 100).tolist(), at_rest=True)  # the jaws open
     assert rest.variance_v2() == before
-    rest.take(rng.normal(0.8, 5e-3, 500).tolist(), at_rest=True)
+    rest.update(rng.normal(0.8, 5e-3, 500).tolist(), at_rest=True)
     assert math.sqrt(rest.variance_v2()) == pytest.approx(5e-3, rel=0.25)
 
 
@@ -385,8 +385,8 @@ def test_a_noisier_strain_gage_than_the_tool_file_says_makes_no_tissue_unknown(t
     """5 mV where it says 2 mV, as in some of the recordings. Believing the file, all of these would be unknown."""
     noisy = with_noise(TOOL, 5e-3)
     for seed in range(4):
-        case = Case(tissue, seed)
-        blocks, _ = answered(simulate(noisy, LIBRARY, SETTINGS.conditioning, FAST, case).samples)
+        case = GraspCase(tissue, seed)
+        blocks, _ = answered(simulate_grasp(noisy, LIBRARY, SETTINGS.conditioning, FAST, case).samples)
         assert UNKNOWN not in {block.identification.label for block in blocks}
 
 
@@ -395,7 +395,7 @@ def test_a_wall_that_is_told_too_late_to_be_taken_back_makes_the_grasp_invalid()
     contact = int(np.flatnonzero(samples["contact_tick"] >= 0)[0])
     told = contact + 20 + 520  # the estimator looks back by half a second
     samples["wall_tick"][told:] = samples["tick"][contact + 20]
-    samples["flags"][told:] |= np.uint16(Flag.JAWS_SHUT)
+    samples["flags"][told:] |= np.uint16(SampleFlag.JAWS_CLOSED)
     (record,), _ = estimated(samples)
     assert not record.valid
     assert "shut" in record.why_invalid

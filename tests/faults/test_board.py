@@ -5,12 +5,12 @@ from faulty import AT, LIBRARY, PROTOCOL, SETTINGS, TOOL, Bench, Moment
 from nidaqmx.error_codes import DAQmxErrors
 from simulation import WatchedGrasper
 
-from acquisition.control import Acquisition
-from acquisition.limiter import PASSED_SHARE, HoldBack
-from acquisition.nidaq import NidaqTool
+from acquisition.control import AcquisitionController
+from acquisition.limiter import RELEASE_SHARE, ForceLimiter
+from acquisition.nidaq import NidaqSource
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
-from acquisition.simulation.service import in_process_options
+from acquisition.simulation.service import create_in_process_options
 
 FLOOR_MS = 15.0
 LIMIT_N = SETTINGS.limiter.margin * LIBRARY.lowest_threshold_n
@@ -20,12 +20,12 @@ LIMIT_N = SETTINGS.limiter.margin * LIBRARY.lowest_threshold_n
 @pytest.mark.parametrize("moment", [Moment.RAMP, Moment.HOLD, Moment.RELEASE])
 def test_samples_that_stop_bring_the_motor_to_zero_within_15_ms(moment, after, reactions):
     bench = Bench().play(until=AT[moment])
-    bench.board.cut_sample_clock(after)
+    bench.board.stop_sample_clock(after)
     cut_ns = bench.board.clock.now_ns() + after * 1_000_000
     bench.play()
     assert "in time" in str(bench.error)
     assert bench.board.output_v == 0.0
-    took_ms = (bench.board.outputs[-1].at_ns - cut_ns) / 1e6
+    took_ms = (bench.board.output_changes[-1].at_ns - cut_ns) / 1e6
     reactions.add("board: samples stop", moment, took_ms, FLOOR_MS)
     assert took_ms <= FLOOR_MS
 
@@ -39,7 +39,7 @@ def test_an_error_of_the_board_brings_the_motor_to_zero_with_that_read(code, rea
     failed_ns = bench.board.clock.now_ns()
     bench.play()
     assert bench.board.output_v == 0.0
-    took_ms = (bench.board.outputs[-1].at_ns - failed_ns) / 1e6
+    took_ms = (bench.board.output_changes[-1].at_ns - failed_ns) / 1e6
     reactions.add(f"board: error {int(code)}", Moment.HOLD, took_ms, FLOOR_MS)
     assert took_ms <= FLOOR_MS
     assert "The motor is at zero" in str(bench.error)
@@ -48,7 +48,7 @@ def test_an_error_of_the_board_brings_the_motor_to_zero_with_that_read(code, rea
 @pytest.mark.parametrize("lost_s", [0.05, 2.0])
 def test_a_board_that_is_gone_is_told_with_what_to_do_by_hand(lost_s):
     bench = Bench().play(until=AT[Moment.HOLD])
-    bench.board.be_mute(lost_s)
+    bench.board.disconnect(lost_s)
     bench.play()
     assert "switch off the motor's amplifier NOW" in str(bench.error)
     assert bench.board.output_v > 0  # nothing can be written to a board that is not there
@@ -57,18 +57,18 @@ def test_a_board_that_is_gone_is_told_with_what_to_do_by_hand(lost_s):
 def test_samples_that_come_late_are_none_that_the_motor_moves_on(reactions):
     """The board delivers nothing for 50 ms, and takes commands all the while."""
     bench = Bench().play(until=AT[Moment.HOLD])
-    bench.board.hold_samples(0.05)
+    bench.board.delay_samples(0.05)
     late_ns = bench.board.clock.now_ns()
     bench.play()
     assert bench.board.output_v == 0.0
-    took_ms = (bench.board.outputs[-1].at_ns - late_ns) / 1e6
+    took_ms = (bench.board.output_changes[-1].at_ns - late_ns) / 1e6
     reactions.add("board: samples 50 ms late", Moment.HOLD, took_ms, FLOOR_MS)
     assert took_ms <= FLOOR_MS
 
 
 @pytest.mark.parametrize(
     ("ceiling_n", "over_n"),
-    [(1.2, 1.2), (6.0, PASSED_SHARE * LIMIT_N), (6.0, LIBRARY.lowest_threshold_n)],
+    [(1.2, 1.2), (6.0, RELEASE_SHARE * LIMIT_N), (6.0, LIBRARY.lowest_threshold_n)],
     ids=["ceiling", "limit", "injury threshold"],
 )
 def test_a_force_that_is_too_large_is_let_go_within_15_ms(ceiling_n, over_n, request, reactions):
@@ -81,13 +81,15 @@ def test_a_force_that_is_too_large_is_let_go_within_15_ms(ceiling_n, over_n, req
     tool = TOOL.model_copy(update={"limits": limits, "plausible": steep})
     grasper = WatchedGrasper(true, LIBRARY, "liver", seed=1)
     board = SimulatedBoard(tool, grasper, VirtualClock())
-    with NidaqTool(tool, in_process_options(board), board.clock.now_ns) as source:
-        hold_back = HoldBack(tool, LIBRARY, SETTINGS.limiter)
-        acquisition = Acquisition(source, tool, SETTINGS.conditioning, hold_back, Safety.ARMED)
+    with NidaqSource(tool, create_in_process_options(board), board.clock.now_ns) as source:
+        hold_back = ForceLimiter(tool, LIBRARY, SETTINGS.limiter)
+        acquisition = AcquisitionController(source, tool, SETTINGS.conditioning, hold_back, Safety.ARMED)
         acquisition.start("run", PROTOCOL, 1)
         while acquisition.running:
-            acquisition.turn()
+            acquisition.process_block()
     over = next(sample for sample, force_n in enumerate(grasper.forces_n) if force_n > over_n)
-    zero = next(output.sample for output in board.outputs if output.volts == 0.0 and output.sample > over)
+    zero = next(
+        output.sample_index for output in board.output_changes if output.volts == 0.0 and output.sample_index > over
+    )
     reactions.add(f"force over the {request.node.callspec.id}", Moment.RAMP, zero - over, FLOOR_MS)
     assert zero - over <= FLOOR_MS

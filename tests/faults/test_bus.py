@@ -13,14 +13,14 @@ import zmq
 from faulty import LIBRARY, PROTOCOL, SETTINGS, TOOL
 
 from acquisition import bus
-from acquisition.bench.jitter import load
+from acquisition.bench.jitter import cpu_load
 from acquisition.blocks import SampleBlock
-from acquisition.control import Acquisition
-from acquisition.nidaq import NidaqTool
+from acquisition.control import AcquisitionController
+from acquisition.nidaq import NidaqSource
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.simulation.service import in_process_options
+from acquisition.simulation.service import create_in_process_options
 from estimator import worker as estimator_worker
 from estimator.worker import ReceivedEstimates, unpack_estimates
 
@@ -33,11 +33,11 @@ def blocks() -> list[SampleBlock]:
     """Two grasps, as the acquisition publishes them."""
     board = SimulatedBoard(TOOL, SimulatedGrasper(TOOL, LIBRARY, TISSUE, seed=1), VirtualClock())
     published = []
-    with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, safety=Safety.ARMED)
+    with NidaqSource(TOOL, create_in_process_options(board), board.clock.now_ns) as source:
+        acquisition = AcquisitionController(source, TOOL, SETTINGS.conditioning, safety=Safety.ARMED)
         acquisition.start("run", PROTOCOL, 2)
         while acquisition.running:
-            published.append(acquisition.turn())
+            published.append(acquisition.process_block())
     return published
 
 
@@ -46,9 +46,9 @@ class Estimator:
 
     def __init__(self, endpoints: bus.Endpoints) -> None:
         self._context = zmq.Context()
-        self._publisher = bus.publisher(self._context, endpoints.samples)
-        self._answers = bus.subscriber(self._context, endpoints.estimates)
-        setup = estimator_worker.Setup(os.getpid(), endpoints, TOOL, LIBRARY, SETTINGS)
+        self._publisher = bus.open_publisher(self._context, endpoints.samples)
+        self._answers = bus.open_subscriber(self._context, endpoints.estimates)
+        setup = estimator_worker.EstimatorSetup(os.getpid(), endpoints, TOOL, LIBRARY, SETTINGS)
         context = multiprocessing.get_context("spawn")
         self._process = context.Process(target=estimator_worker.main, args=(setup,), daemon=True)
         self._process.start()
@@ -65,7 +65,7 @@ class Estimator:
         while not received or received[-1].block.sequence < last:
             assert self._answers.poll(20_000), "no answer"
             parts = self._answers.recv_multipart()
-            if parts[0] == bus.ESTIMATES:
+            if parts[0] == bus.ESTIMATES_TOPIC:
                 received.append(unpack_estimates(parts, len(LIBRARY.tissues)))
         return received
 
@@ -88,7 +88,7 @@ class Estimator:
         until_s = time.monotonic() + 20.0
         while time.monotonic() < until_s and answered < len(blocks):
             parts = self._answers.recv_multipart()
-            if parts[0] == bus.ESTIMATES:
+            if parts[0] == bus.ESTIMATES_TOPIC:
                 answered, missing = answered + 1, unpack_estimates(parts, len(LIBRARY.tissues)).missing_blocks
                 until_s = time.monotonic() + 3.0
         assert self._process.is_alive()
@@ -166,16 +166,16 @@ def repeated(blocks: list[SampleBlock], number: int) -> Iterator[SampleBlock]:
 @pytest.mark.parametrize("busy", [False, pytest.param(True, marks=pytest.mark.long)], ids=["alone", "busy machine"])
 def test_a_backlog_of_half_a_minute_is_worked_off_without_a_loss(blocks, tmp_path, busy):
     backlog = list(repeated(blocks, HALF_A_MINUTE))
-    with running(tmp_path) as estimator, load(busy):
+    with running(tmp_path) as estimator, cpu_load(busy):
         assert estimator.estimate_backlog(backlog) == (HALF_A_MINUTE, 0)
 
 
 @pytest.mark.long
 def test_of_a_backlog_that_is_too_long_the_newest_blocks_are_dropped_and_counted(blocks, tmp_path):
-    backlog = list(repeated(blocks, 3 * bus.MINUTE_OF_BLOCKS))
+    backlog = list(repeated(blocks, 3 * bus.HIGH_WATER_MARK))
     after = list(repeated(blocks, len(backlog) + 5))[-5:]
     with running(tmp_path) as estimator:
         answered, _ = estimator.estimate_backlog(backlog)
         missing = estimator.estimate(after)[-1].missing_blocks
-    assert bus.MINUTE_OF_BLOCKS <= answered < len(backlog)
+    assert bus.HIGH_WATER_MARK <= answered < len(backlog)
     assert missing == len(backlog) - answered

@@ -5,12 +5,12 @@ import pytest
 from faulty import AT, LIBRARY, PROTOCOL, SETTINGS, TOOL, Bench, Moment
 from simulation import WatchedGrasper
 
-from acquisition.control import Acquisition
-from acquisition.limiter import HoldBack
-from acquisition.nidaq import NidaqTool
+from acquisition.control import AcquisitionController
+from acquisition.limiter import ForceLimiter
+from acquisition.nidaq import NidaqSource
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
-from acquisition.simulation.service import in_process_options
+from acquisition.simulation.service import create_in_process_options
 
 STRONG = PROTOCOL.model_copy(update={"waveform": PROTOCOL.waveform.model_copy(update={"peak_v": 3.5, "hold_s": 1.0})})
 HOLD_N = SETTINGS.limiter.margin * LIBRARY.lowest_threshold_n
@@ -21,14 +21,14 @@ def test_a_limit_that_comes_100_ms_late_does_not_count(late, is_held):
     """Of a liver, which bears more than the lowest limit: told in time it is followed."""
     grasper = WatchedGrasper(TOOL, LIBRARY, "liver", seed=1)
     board = SimulatedBoard(TOOL, grasper, VirtualClock())
-    with NidaqTool(TOOL, in_process_options(board), board.clock.now_ns) as source:
-        hold_back = HoldBack(TOOL, LIBRARY, SETTINGS.limiter)
-        acquisition = Acquisition(source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
+    with NidaqSource(TOOL, create_in_process_options(board), board.clock.now_ns) as source:
+        hold_back = ForceLimiter(TOOL, LIBRARY, SETTINGS.limiter)
+        acquisition = AcquisitionController(source, TOOL, SETTINGS.conditioning, hold_back, Safety.ARMED)
         acquisition.start("run", STRONG, 1)
         while acquisition.running:
-            block = acquisition.turn()
+            block = acquisition.process_block()
             tick = int(block.samples["tick"][-1]) - late
-            acquisition.allow(LIBRARY.threshold_n("liver"), tick)
+            acquisition.set_threshold(LIBRARY.threshold_n("liver"), tick)
     assert (max(grasper.forces_n) < 1.05 * HOLD_N) is is_held
 
 

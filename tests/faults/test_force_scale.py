@@ -7,17 +7,17 @@ import pytest
 from faulty import LIBRARY, PROTOCOL, SETTINGS, TOOL
 from simulation import WatchedGrasper
 
-from acquisition.blocks import SAMPLE, SampleBlock
-from acquisition.control import Acquisition
-from acquisition.limiter import HoldBack, why_stop
-from acquisition.nidaq import NidaqTool
+from acquisition.blocks import SAMPLE_DTYPE, SampleBlock
+from acquisition.control import AcquisitionController
+from acquisition.limiter import ForceLimiter, find_stop_reason
+from acquisition.nidaq import NidaqSource
 from acquisition.safety import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
-from acquisition.simulation.service import in_process_options
+from acquisition.simulation.service import create_in_process_options
 from config.errors import RefusedError
 from config.schema import ForceScale, Tool, ToolKind
-from estimator.session import EstimationSession
-from estimator.worker import limit_of
+from estimator.session import TissueEstimator
+from estimator.worker import to_threshold_update
 
 STRONG = PROTOCOL.model_copy(update={"waveform": PROTOCOL.waveform.model_copy(update={"peak_v": 3.5, "hold_s": 1.0})})
 TRUE_SCALE = 2.0  # times what the screen shows
@@ -46,16 +46,16 @@ def peak_n(tool: Tool) -> tuple[float, np.ndarray]:
     """The highest true force of a strong grasp on a bladder, N, and the samples."""
     grasper = WatchedGrasper(true_tool(), LIBRARY, "bladder", seed=1)
     board = SimulatedBoard(true_tool(), grasper, VirtualClock())
-    session, blocks = EstimationSession(tool, LIBRARY, SETTINGS), []
-    with NidaqTool(tool, in_process_options(board), board.clock.now_ns) as source:
-        limiter = HoldBack(tool, LIBRARY, SETTINGS.limiter)
-        acquisition = Acquisition(source, tool, SETTINGS.conditioning, limiter, Safety.ARMED)
+    session, blocks = TissueEstimator(tool, LIBRARY, SETTINGS), []
+    with NidaqSource(tool, create_in_process_options(board), board.clock.now_ns) as source:
+        limiter = ForceLimiter(tool, LIBRARY, SETTINGS.limiter)
+        acquisition = AcquisitionController(source, tool, SETTINGS.conditioning, limiter, Safety.ARMED)
         acquisition.start("run", STRONG, 1)
         while acquisition.running:
-            block = acquisition.turn()
+            block = acquisition.process_block()
             blocks.append(block.samples)
-            limit = limit_of(session.process(block).identification)
-            acquisition.allow(limit.threshold_n, limit.tick)
+            limit = to_threshold_update(session.process(block).identification)
+            acquisition.set_threshold(limit.threshold_n, limit.tick)
     return max(grasper.forces_n), np.concatenate(blocks)
 
 
@@ -71,19 +71,19 @@ def test_a_force_twice_the_one_shown_injures_nothing_where_the_interval_reaches_
 
 @pytest.mark.parametrize("high", [1.0, 1.5, 20.0])
 def test_the_ceiling_is_reached_sooner_the_further_the_interval_reaches(high):
-    tool, samples = tool_with(high=high), np.zeros(5, SAMPLE)
+    tool, samples = tool_with(high=high), np.zeros(5, SAMPLE_DTYPE)
     ceiling_n = TOOL.limits.force_ceiling_n / high
     samples["jaw_force_n"] = 0.999 * ceiling_n
-    assert why_stop(tool, samples) is None
+    assert find_stop_reason(tool, samples) is None
     samples["jaw_force_n"] = 1.001 * ceiling_n
-    assert "over the ceiling" in why_stop(tool, samples)
+    assert "over the ceiling" in find_stop_reason(tool, samples)
 
 
 def test_force_alarms_come_sooner_the_further_the_interval_reaches():
     _, samples = peak_n(tool_with(low=0.5, high=TRUE_SCALE))
     told = {}
     for high in (1.0, TRUE_SCALE):
-        session = EstimationSession(tool_with(low=0.5, high=high), LIBRARY, SETTINGS)
+        session = TissueEstimator(tool_with(low=0.5, high=high), LIBRARY, SETTINGS)
         blocks = [session.process(SampleBlock(1, 0, 0, part)) for part in np.split(samples, range(5, len(samples), 5))]
         told[high] = [alarm for block in blocks for alarm in block.alarms if alarm.priority]
     assert not told[1.0], "0.9 N are far from 2.25 N"
@@ -95,11 +95,13 @@ def test_force_alarms_come_sooner_the_further_the_interval_reaches():
 
 def armed(tool: Tool, **how: str) -> Safety:
     board = SimulatedBoard(TOOL, WatchedGrasper(TOOL, LIBRARY, "bladder", seed=1), VirtualClock())
-    with NidaqTool(tool, in_process_options(board), board.clock.now_ns) as source:
-        acquisition = Acquisition(source, tool, SETTINGS.conditioning, HoldBack(tool, LIBRARY, SETTINGS.limiter))
+    with NidaqSource(tool, create_in_process_options(board), board.clock.now_ns) as source:
+        acquisition = AcquisitionController(
+            source, tool, SETTINGS.conditioning, ForceLimiter(tool, LIBRARY, SETTINGS.limiter)
+        )
         acquisition.arm(**how)
         for _ in range(300):
-            acquisition.turn()
+            acquisition.process_block()
         return acquisition.safety
 
 
@@ -107,6 +109,6 @@ def test_a_real_tool_is_armed_with_a_measured_scale_or_for_a_reason():
     unmeasured = tool_with(measured=False, low=0.05)
     with pytest.raises(RefusedError, match="force scale is not measured"):
         armed(unmeasured)
-    assert armed(unmeasured, unmeasured="to measure it") is Safety.ARMED
+    assert armed(unmeasured, unmeasured_scale_reason="to measure it") is Safety.ARMED
     assert armed(tool_with()) is Safety.ARMED
     assert armed(TOOL) is Safety.ARMED, "simulated newtons are exact"

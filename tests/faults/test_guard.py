@@ -10,8 +10,8 @@ import zmq
 from faulty import LIBRARY, SETTINGS, TOOL
 
 from acquisition import bus, guard
-from acquisition.blocks import SAMPLE, SampleBlock
-from acquisition.nidaq import NidaqTool, session_options
+from acquisition.blocks import SAMPLE_DTYPE, SampleBlock
+from acquisition.nidaq import NidaqSource, create_session_options
 from acquisition.safety import Safety
 from acquisition.simulation.board import RealClock, SimulatedBoard
 from acquisition.simulation.grasper import SimulatedGrasper
@@ -19,7 +19,7 @@ from acquisition.simulation.service import serve_tcp
 from config.schema import ToolKind
 
 BLOCK_S = 0.005
-NOTHING = np.zeros(5, SAMPLE)
+NOTHING = np.zeros(5, SAMPLE_DTYPE)
 
 
 class GuardedTool:
@@ -30,14 +30,14 @@ class GuardedTool:
         self._server, port = serve_tcp(self.board)
         wiring = TOOL.board.model_copy(update={"grpc_address": f"127.0.0.1:{port}"})
         tool = TOOL.model_copy(update={"kind": ToolKind.NIDAQ, "board": wiring})
-        self._source = NidaqTool(tool, session_options(tool)).__enter__()
+        self._source = NidaqSource(tool, create_session_options(tool)).__enter__()
         self._source.write_command(1.0)
         endpoints = bus.Endpoints.in_folder(folder)
         self._context = zmq.Context()
-        self.publisher = bus.publisher(self._context, endpoints.samples)
-        self._told = bus.subscriber(self._context, endpoints.guard)
+        self.publisher = bus.open_publisher(self._context, endpoints.samples)
+        self._told = bus.open_subscriber(self._context, endpoints.safety_monitor)
         context = multiprocessing.get_context("spawn")
-        setup = guard.Setup(os.getpid(), endpoints, tool, SETTINGS.realtime)
+        setup = guard.SafetyMonitorSetup(os.getpid(), endpoints, tool, SETTINGS.realtime)
         self.process = context.Process(target=guard.main, args=(setup,), daemon=True)
         self.process.start()
         assert self._told.poll(20_000), "the guard says nothing"
@@ -89,7 +89,7 @@ def test_silence_in_a_run_brings_the_motor_to_zero_and_silence_without_one_does_
 
 
 def test_a_reset_that_fails_is_tried_again_until_the_motor_is_at_zero(tool):
-    tool.board.be_mute(0.6)
+    tool.board.disconnect(0.6)
     time.sleep(0.5)
     assert tool.board.output_v == 1.0
     tool.wait_for_zero(0.4)
@@ -101,7 +101,7 @@ def test_a_reset_that_fails_is_tried_again_until_the_motor_is_at_zero(tool):
 def test_a_guard_that_is_to_end_in_a_run_stays_until_the_motor_is_at_zero(tool):
     tool.publish(Safety.RUNNING, 0.1)
     tool.process.terminate()
-    tool.publish(Safety.HOLDING_BACK, 0.3)
+    tool.publish(Safety.LIMITING, 0.3)
     assert tool.process.is_alive()
     tool.wait_for_zero(0.2)
     tool.process.join(2)

@@ -9,15 +9,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquisition.bench import fits
-from acquisition.bench.checks import Signals
-from acquisition.bench.fits import Constant, Fit, Pass
-from acquisition.bench.measuring import Bench, passes_in
-from acquisition.nidaq import NidaqTool
-from acquisition.recordings.playing import Recording
+from acquisition.bench.checks import RawSignals
+from acquisition.bench.fits import CalibrationFit, FittedConstant, LoadingPass
+from acquisition.bench.measuring import CalibrationBench, extract_recorded_passes
+from acquisition.nidaq import NidaqSource
+from acquisition.recordings.playing import RecordingSource
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.simulation.service import in_process_options
+from acquisition.simulation.service import create_in_process_options
 from config.errors import CalibrationError, ToolError
 from config.load import load_library, load_tool
 
@@ -43,30 +43,30 @@ class Laboratory:
         self.sensors = FaultySensors(self.grasper, self.truth)
         self.board = SimulatedBoard(self.truth, self.sensors, VirtualClock())
         self.tissue = tissue
-        self.bench = Bench(TOOL, in_process_options(self.board), self.board.clock.now_ns, self._put)
+        self.bench = CalibrationBench(TOOL, create_in_process_options(self.board), self.board.clock.now_ns, self._put)
 
     def _put(self, pull_n: float, gauge_m: float) -> None:
-        self.grasper.hung_n, self.grasper.gauge_m = pull_n, None if self.tissue else gauge_m
+        self.grasper.handle_pull_n, self.grasper.gauge_m = pull_n, None if self.tissue else gauge_m
 
-    def tare(self) -> Fit:
-        return fits.tare(self.bench.at_rest(), TOOL)
+    def tare(self) -> CalibrationFit:
+        return fits.fit_tare(self.bench.read_at_rest(), TOOL)
 
-    def strain(self, pulls_n=PULLS_N) -> Fit:
-        return fits.strain(pulls_n, [self.bench.under(pull_n) for pull_n in pulls_n], TOOL)
+    def strain(self, pulls_n=PULLS_N) -> CalibrationFit:
+        return fits.fit_strain(pulls_n, [self.bench.read_under_pull(pull_n) for pull_n in pulls_n], TOOL)
 
-    def stretch(self) -> Fit:
-        return fits.stretch(self.bench.shut(), TOOL)
+    def stretch(self) -> CalibrationFit:
+        return fits.fit_stretch(self.bench.read_closed_jaws(), TOOL)
 
-    def geometry(self, gauges_m=GAUGES_M) -> Fit:
-        return fits.geometry(gauges_m, [self.bench.on_gauge(gauge_m) for gauge_m in gauges_m], TOOL)
+    def geometry(self, gauges_m=GAUGES_M) -> CalibrationFit:
+        return fits.fit_geometry(gauges_m, [self.bench.read_on_gauge(gauge_m) for gauge_m in gauges_m], TOOL)
 
 
-def refused(what: Callable[[], Fit], says: str, error: Refusal = CalibrationError) -> None:
+def refused(what: Callable[[], CalibrationFit], says: str, error: Refusal = CalibrationError) -> None:
     with pytest.raises(error, match=says):
         what()
 
 
-def within(constant: Constant, truth: float, share: float = 0.01) -> bool:
+def within(constant: FittedConstant, truth: float, share: float = 0.01) -> bool:
     return abs(constant.value / truth - 1) <= share
 
 
@@ -102,7 +102,7 @@ def test_the_rest_voltage_comes_out_as_it_is(rest_v: float, seed: int) -> None:
     offset, noise = laboratory.tare().constants
     assert offset.value == pytest.approx(rest_v, abs=0.02)  # rests differ by 5 mV from day to day
     assert within(noise, TOOL.noise.strain_sd_v, 0.05)
-    assert not laboratory.board.outputs
+    assert not laboratory.board.output_changes
 
 
 # --- what is refused -------------------------------------------------------------------------------------------------
@@ -129,46 +129,46 @@ def test_weights_that_tell_nothing_are_refused_before_one_is_hung(pulls_n: tuple
 
 def test_weights_in_another_order_than_they_were_named_are_refused() -> None:
     bench = Laboratory().bench
-    readings = [bench.under(pull_n) for pull_n in (0.0, 2.0, 4.0, 8.0, 6.0)]
-    refused(lambda: fits.strain((0.0, 2.0, 4.0, 6.0, 8.0), readings, TOOL), "at 8 N is not above the one at 6 N")
+    readings = [bench.read_under_pull(pull_n) for pull_n in (0.0, 2.0, 4.0, 8.0, 6.0)]
+    refused(lambda: fits.fit_strain((0.0, 2.0, 4.0, 6.0, 8.0), readings, TOOL), "at 8 N is not above the one at 6 N")
 
 
 def test_a_weight_that_is_named_wrong_lies_off_the_line() -> None:
     bench = Laboratory().bench
-    readings = [bench.under(pull_n) for pull_n in (0.0, 2.0, 4.0, 6.5, 8.0, 10.0)]
-    refused(lambda: fits.strain((0.0, 2.0, 4.0, 6.0, 8.0, 10.0), readings, TOOL), "at 6 N lies .* off the line")
+    readings = [bench.read_under_pull(pull_n) for pull_n in (0.0, 2.0, 4.0, 6.5, 8.0, 10.0)]
+    refused(lambda: fits.fit_strain((0.0, 2.0, 4.0, 6.0, 8.0, 10.0), readings, TOOL), "at 6 N lies .* off the line")
 
 
 def test_a_bridge_with_its_wires_exchanged_is_named() -> None:
     readings = [rest(1.0 - pull_n / 12) for pull_n in (0.0, 2.0, 4.0, 6.0)]
-    refused(lambda: fits.strain((0.0, 2.0, 4.0, 6.0), readings, TOOL), "exchange the two signal wires")
+    refused(lambda: fits.fit_strain((0.0, 2.0, 4.0, 6.0), readings, TOOL), "exchange the two signal wires")
 
 
 def test_an_encoder_that_slips_is_told_from_a_stretch() -> None:
     strain_v = np.linspace(0.1, 0.4, 6)
-    passes = [Pass(strain_v, 100.0 + 20.0 * strain_v) for _ in range(6)]
-    refused(lambda: fits.stretch(passes, TOOL), "20.0 deg/V, the tool file says 52.2: the encoder slips")
+    passes = [LoadingPass(strain_v, 100.0 + 20.0 * strain_v) for _ in range(6)]
+    refused(lambda: fits.fit_stretch(passes, TOOL), "20.0 deg/V, the tool file says 52.2: the encoder slips")
 
 
 def test_passes_that_disagree_are_no_stretch() -> None:
     strain_v = np.linspace(0.1, 0.4, 6)
-    passes = [Pass(strain_v, 100.0 + slope * strain_v) for slope in (40.0, 52.0, 65.0)]
-    refused(lambda: fits.stretch(passes, TOOL), "scatters by 12.5 from pass to pass")
+    passes = [LoadingPass(strain_v, 100.0 + slope * strain_v) for slope in (40.0, 52.0, 65.0)]
+    refused(lambda: fits.fit_stretch(passes, TOOL), "scatters by 12.5 from pass to pass")
 
 
 def test_gauges_that_are_named_wrong_are_refused() -> None:
     bench = Laboratory().bench
-    passes = [bench.on_gauge(gauge_m) for gauge_m in (0.0, 0.002, 0.0045, 0.006)]
-    refused(lambda: fits.geometry((0.0, 0.002, 0.004, 0.006), passes, TOOL), "lies .* mm off")
-    refused(lambda: fits.geometry((0.006, 0.004, 0.002, 0.0), passes, TOOL), "shut no further")
+    passes = [bench.read_on_gauge(gauge_m) for gauge_m in (0.0, 0.002, 0.0045, 0.006)]
+    refused(lambda: fits.fit_geometry((0.0, 0.002, 0.004, 0.006), passes, TOOL), "lies .* mm off")
+    refused(lambda: fits.fit_geometry((0.006, 0.004, 0.002, 0.0), passes, TOOL), "shut no further")
 
 
-def rest(volts: float = 0.82, walk_v: float = 0.0, scatter: float = 1.0, turned_deg: float = 0.0) -> Signals:
+def rest(volts: float = 0.82, walk_v: float = 0.0, scatter: float = 1.0, turned_deg: float = 0.0) -> RawSignals:
     """Ten seconds of an open tool."""
     n = 10_000
     noise_v = np.random.default_rng(1).standard_normal(n) * TOOL.noise.strain_sd_v * scatter
     zero = np.zeros(n)
-    return Signals(volts + noise_v + np.linspace(0, walk_v, n), zero, (zero, zero), np.linspace(0, turned_deg, n))
+    return RawSignals(volts + noise_v + np.linspace(0, walk_v, n), zero, (zero, zero), np.linspace(0, turned_deg, n))
 
 
 @pytest.mark.parametrize(
@@ -182,8 +182,8 @@ def rest(volts: float = 0.82, walk_v: float = 0.0, scatter: float = 1.0, turned_
         (rest(float("nan")), "gives no number"),
     ],
 )
-def test_a_tool_that_does_not_rest_is_not_tared(signals: Signals, says: str) -> None:
-    refused(lambda: fits.tare(signals, TOOL), says)
+def test_a_tool_that_does_not_rest_is_not_tared(signals: RawSignals, says: str) -> None:
+    refused(lambda: fits.fit_tare(signals, TOOL), says)
 
 
 @pytest.mark.parametrize(
@@ -191,15 +191,15 @@ def test_a_tool_that_does_not_rest_is_not_tared(signals: Signals, says: str) -> 
 )
 def test_a_cable_that_is_pulled_meanwhile_ends_it_with_the_motor_at_zero(fault: SensorFault) -> None:
     laboratory = Laboratory()
-    laboratory.sensors.break_at(fault, 4_000)  # the force on the shut jaws is changed by then
+    laboratory.sensors.inject_fault_at(fault, 4_000)  # the force on the shut jaws is changed by then
     refused(laboratory.stretch, "Broken off with the motor at zero", (CalibrationError, ToolError))
     assert laboratory.board.output_v == 0.0
-    assert max(output.volts for output in laboratory.board.outputs) > 0.0
+    assert max(output.volts for output in laboratory.board.output_changes) > 0.0
 
 
 def test_two_programs_on_one_board_are_told() -> None:
     laboratory = Laboratory()
-    with NidaqTool(TOOL, in_process_options(laboratory.board), laboratory.board.clock.now_ns):
+    with NidaqSource(TOOL, create_in_process_options(laboratory.board), laboratory.board.clock.now_ns):
         refused(laboratory.stretch, "Another program uses Dev1", ToolError)
     assert laboratory.board.output_v == 0.0
 
@@ -207,18 +207,18 @@ def test_two_programs_on_one_board_are_told() -> None:
 # --- the recordings of 2013 ------------------------------------------------------------------------------------------
 
 
-def recorded_passes(recordings: list[Path], name: str) -> list[Pass]:
+def recorded_passes(recordings: list[Path], name: str) -> list[LoadingPass]:
     [path] = [path for path in recordings if path.name.startswith(name)]
-    return passes_in(Recording(path, load_tool("smart_tool_2013")))
+    return extract_recorded_passes(RecordingSource(path, load_tool("smart_tool_2013")))
 
 
 @pytest.mark.parametrize("name", ["bladder4Hz1", "gallbladder4Hz1", "liver4Hz1"])
 def test_recordings_give_the_stretch_of_the_paper(recordings: list[Path], name: str) -> None:
-    [found] = fits.stretch(recorded_passes(recordings, name), TOOL).constants
+    [found] = fits.fit_stretch(recorded_passes(recordings, name), TOOL).constants
     assert 49.0 <= found.value <= 53.0
 
 
 @pytest.mark.parametrize("name", ["ureter025Hz1", "ureter4Hz1"])
 def test_the_recording_whose_encoder_slips_is_refused(recordings: list[Path], name: str) -> None:
     passes = recorded_passes(recordings, name)
-    refused(lambda: fits.stretch(passes, TOOL), r"2[01]\.\d deg/V, the tool file says 52.2: the encoder slips")
+    refused(lambda: fits.fit_stretch(passes, TOOL), r"2[01]\.\d deg/V, the tool file says 52.2: the encoder slips")

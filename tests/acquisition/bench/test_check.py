@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from acquisition.bench.checks import Outcome
-from acquisition.bench.jaws import MOVE_V
-from acquisition.bench.walk import Walk
-from acquisition.nidaq import NidaqTool
+from acquisition.bench.checks import CheckOutcome
+from acquisition.bench.jaws import CLOSING_COMMAND_V
+from acquisition.bench.walk import HardwareCheck
+from acquisition.nidaq import NidaqSource
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.simulation.service import in_process_options
-from acquisition.simulation.wiring import Mistake, MiswiredGrasper
+from acquisition.simulation.service import create_in_process_options
+from acquisition.simulation.wiring import MiswiredGrasper, WiringFault
 from config.load import load_library, load_tool
 from config.schema import Tool
 
@@ -27,41 +27,41 @@ class Bench:
     """`real` is the tool as it is wired, `file` what its file says."""
 
     def __init__(
-        self, file: Tool = TOOL, real: Tool = TOOL, mistake: Mistake | None = None, fault: SensorFault | None = None
+        self, file: Tool = TOOL, real: Tool = TOOL, mistake: WiringFault | None = None, fault: SensorFault | None = None
     ) -> None:
         self.grasper = SimulatedGrasper(real, LIBRARY, "liver", seed=1)
         self.grasper.gauge_m = 0.0
         plant = MiswiredGrasper(self.grasper, mistake) if mistake else FaultySensors(self.grasper, real)
         if fault:
-            plant.break_at(fault, 0)
+            plant.inject_fault_at(fault, 0)
         self.board = SimulatedBoard(real, plant, VirtualClock())
-        self.options = in_process_options(self.board)
-        self.walk = Walk(file, self.options, self.board.clock.now_ns)
+        self.options = create_in_process_options(self.board)
+        self.walk = HardwareCheck(file, self.options, self.board.clock.now_ns)
 
-    def findings(self, move: bool = True) -> dict[str, tuple[Outcome, str]]:
-        found = {each.check: (each.outcome, each.text) for each in self.walk.findings(lambda: move)}
+    def findings(self, move: bool = True) -> dict[str, tuple[CheckOutcome, str]]:
+        found = {each.check: (each.outcome, each.text) for each in self.walk.run_checks(lambda: move)}
         assert self.board.output_v == 0.0
         return found
 
 
 def test_a_tool_that_is_wired_as_its_file_says_passes_every_check():
     bench = Bench()
-    found = list(bench.walk.findings(lambda: True))
-    assert {each.outcome for each in found} == {Outcome.PASS}, found
+    found = list(bench.walk.run_checks(lambda: True))
+    assert {each.outcome for each in found} == {CheckOutcome.PASS}, found
     figures = {each.check: each.figures for each in found}
     assert figures["sample clock"]["rate_hz"] == pytest.approx(1000.0)
     assert figures["motor command read back"]["gain"] == pytest.approx(1.0, abs=1e-3)
     assert figures["encoder scale"]["deg_per_volt"] == pytest.approx(TOOL.calibration.encoder_deg_per_volt, rel=0.05)
     assert figures["round trip"]["delay_ms"] < 10.0
-    assert max(output.volts for output in bench.board.outputs) == MOVE_V
+    assert max(output.volts for output in bench.board.output_changes) == CLOSING_COMMAND_V
     assert bench.board.output_v == 0.0
 
 
 def test_nothing_moves_before_somebody_agrees():
     bench = Bench()
     found = bench.findings(move=False)
-    assert not bench.board.outputs
-    assert found["encoder direction"][0] is Outcome.NOT_DONE
+    assert not bench.board.output_changes
+    assert found["encoder direction"][0] is CheckOutcome.NOT_DONE
     assert "--move" in found["encoder direction"][1]
 
 
@@ -92,7 +92,11 @@ MISTAKES = {
         "encoder scale",
         "it counts twice the pulses",
     ),
-    "strain input floats": ({"mistake": Mistake.STRAIN_FLOATS}, "strain gage at rest", "mains hum: nothing drives ai0"),
+    "strain input floats": (
+        {"mistake": WiringFault.STRAIN_FLOATS},
+        "strain gage at rest",
+        "mains hum: nothing drives ai0",
+    ),
     "strain amplifier at its rail": (
         {"fault": SensorFault.STRAIN_SATURATED},
         "strain gage at rest",
@@ -106,12 +110,12 @@ MISTAKES = {
         "`graspwatch calibrate tare`",
     ),
     "motor command not read back": (
-        {"mistake": Mistake.READBACK_OPEN},
+        {"mistake": WiringFault.READBACK_OPEN},
         "motor command read back",
         "ai2 stays at zero: it is not connected to ao0",
     ),
     "motor command read back through a divider": (
-        {"mistake": Mistake.READBACK_HALVED},
+        {"mistake": WiringFault.READBACK_HALVED},
         "motor command read back",
         "of each volt 0.500 V come back",
     ),
@@ -137,7 +141,7 @@ MISTAKES = {
         "Dev1 is a USB-6009, the tool file is for a PCI-6230",
     ),
     "a sensor that tells contact": (
-        {"mistake": Mistake.TOUCH_STUCK},
+        {"mistake": WiringFault.TOUCH_STUCK},
         "touch sensors at rest",
         "which is contact: empty the jaws",
     ),
@@ -147,16 +151,16 @@ MISTAKES = {
 @pytest.mark.parametrize(("bench", "check", "says"), MISTAKES.values(), ids=MISTAKES)
 def test_a_mistake_is_found_and_named(bench, check, says):
     found = Bench(**bench).findings()
-    (first, text), *more = [(name, text) for name, (outcome, text) in found.items() if outcome is Outcome.FAIL]
+    (first, text), *more = [(name, text) for name, (outcome, text) in found.items() if outcome is CheckOutcome.FAIL]
     assert (first, says in text) == (check, True), text
     assert "swapped" in text or not more, more  # two wires that are exchanged are wrong at both ends
 
 
 def test_two_programs_on_one_board():
     bench = Bench()
-    with NidaqTool(TOOL, bench.options, bench.board.clock.now_ns):
+    with NidaqSource(TOOL, bench.options, bench.board.clock.now_ns):
         outcome, text = bench.findings()["board in use"]
-    assert outcome is Outcome.FAIL
+    assert outcome is CheckOutcome.FAIL
     assert "Another program uses Dev1" in text
 
 
@@ -166,6 +170,8 @@ def test_jaws_that_are_not_empty_are_let_go_at_once():
     strong = {"force_n": tuple(10.0 * force_n for force_n in mapping.force_n)}
     bench = Bench(real=TOOL.model_copy(update={"command_to_force": mapping.model_copy(update=strong)}))
     found = bench.findings()
-    assert "more than empty jaws do" in " ".join(text for outcome, text in found.values() if outcome is Outcome.FAIL)
-    assert max(output.volts for output in bench.board.outputs) < MOVE_V
+    assert "more than empty jaws do" in " ".join(
+        text for outcome, text in found.values() if outcome is CheckOutcome.FAIL
+    )
+    assert max(output.volts for output in bench.board.output_changes) < CLOSING_COMMAND_V
     assert np.isfinite(bench.grasper.force_n)

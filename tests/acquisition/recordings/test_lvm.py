@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulation import LVM_COLUMNS, SIGNALS, joined, lvm_text, raw_block, simulate_raw, write_lvm
 
-from acquisition.pipeline import Pipeline
+from acquisition.pipeline import ConditioningPipeline
 from acquisition.recordings.lvm import read_lvm
-from acquisition.recordings.playing import Recording
+from acquisition.recordings.playing import RecordingSource
 from acquisition.source import RawBlock
 from config.errors import RecordingError
 from config.load import load_tool
-from config.schema import Conditioning
+from config.schema import ConditioningSettings
 
 RIG = load_tool("smart_tool_2013")
 SIMULATED = joined(simulate_raw("bladder", cycles=1))
@@ -31,7 +31,7 @@ PRINTED = 0.5e-6 + 1e-12  # six decimals
 
 
 def blocks_of(path: Path, speed: float | None = None) -> list[RawBlock]:
-    with Recording(path, RIG, speed) as recording:
+    with RecordingSource(path, RIG, speed) as recording:
         return list(iter(recording.read_block, None))
 
 
@@ -68,8 +68,8 @@ def test_what_was_written_is_read_back_every_sample_once_and_in_order(tmp_path: 
 
 
 def test_it_says_how_many_samples_and_seconds_there_are(tmp_path: Path) -> None:
-    recording = Recording(write_lvm(tmp_path / "r.lvm", SIMULATED), RIG)
-    assert recording.samples == len(SIMULATED)
+    recording = RecordingSource(write_lvm(tmp_path / "r.lvm", SIMULATED), RIG)
+    assert recording.sample_count == len(SIMULATED)
     assert recording.duration_s == pytest.approx(len(SIMULATED) / 1000)
 
 
@@ -341,7 +341,7 @@ def test_times_that_no_recording_can_have_are_told(tmp_path: Path, hours: list[i
     late = ["\t".join([f"{3600 * hour}.000000", *rest]) for hour in hours]
     path = written(tmp_path / "r.lvm", "\n".join([*SHORT[:-1], *late]) + "\n")
     with pytest.raises(RecordingError, match=says):
-        Recording(path, RIG)
+        RecordingSource(path, RIG)
 
 
 # --- the real ones ----------------------------------------------------------------------------------------------------
@@ -352,9 +352,9 @@ def test_every_sample_of_the_real_recordings_is_accounted_for(recordings: list[P
     for path in recordings:
         content = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
         lines = len(re.findall(rb"^-?\d+\.\d+\t", content, re.MULTILINE))
-        with Recording(path, RIG) as recording:
+        with RecordingSource(path, RIG) as recording:
             blocks = list(iter(recording.read_block, None))
-        assert sum(map(len, blocks)) == recording.samples == lines
+        assert sum(map(len, blocks)) == recording.sample_count == lines
         assert recording.duration_s == pytest.approx(lines / 1000)
         assert not any(block.lost_samples for block in blocks)
 
@@ -363,7 +363,7 @@ def test_every_sample_of_the_real_recordings_is_accounted_for(recordings: list[P
 @pytest.mark.parametrize(("name", "grasps"), [("liver025Hz1", 9), ("liver4Hz1", 19)])
 def test_the_grasps_of_a_real_recording_are_counted(recordings: list[Path], name: str, grasps: int) -> None:
     path = next(path for path in recordings if path.name.startswith(name))
-    pipeline = Pipeline(RIG, Conditioning())
+    pipeline = ConditioningPipeline(RIG, ConditioningSettings())
     samples = np.concatenate([pipeline.process(block).samples for block in blocks_of(path)])
     assert samples["grasp"][-1] == grasps
     starts = np.unique(samples["grasp_start_tick"][samples["grasp"] > 0])

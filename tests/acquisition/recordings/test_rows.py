@@ -25,7 +25,7 @@ def layouts(draw: st.DrawFn) -> RowLayout:
 def filled(layout: RowLayout, rows: int, seed: int) -> dict[str, np.ndarray]:
     """Random bits, so NaNs of every kind, infinities and subnormal numbers among them."""
     rng = np.random.default_rng(seed)
-    sizes = {column.path: np.dtype(column.kind) for column in layout.columns}
+    sizes = {column.path: np.dtype(column.type_code) for column in layout.columns}
     return {path: np.frombuffer(rng.bytes(rows * kind.itemsize), kind) for path, kind in sizes.items()}
 
 
@@ -37,7 +37,7 @@ def test_what_is_encoded_is_decoded_bit_for_bit_also_by_the_schema_alone(
     columns = filled(layout, rows, seed)
     data = layout.encode(columns)
     assert len(data) == rows * layout.row_bytes
-    for reader in (layout, RowLayout.of_schema("graspwatch.Things", layout.descriptor_set)):
+    for reader in (layout, RowLayout.from_schema("graspwatch.Things", layout.descriptor_set)):
         read = reader.decode(data)
         assert all(read[path].tobytes() == values.tobytes() for path, values in columns.items())
 

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.audit.check import Witness, check
+from app.audit.check import ChainCheckpoint, check_journal
 from app.journal import Journal
 from app.wire import JournalCheck, JournalEntry, JournalKind, Result
 from config.errors import JournalError
@@ -32,15 +32,15 @@ def written(data: Path, lines: int = 3, told: Callable[[JournalEntry], object] =
     journal = Journal(data, ignore, told)
     for number in range(lines):
         assert journal.write(JournalKind.EVENT, f"Event {number} µ", by="Ada")
-    assert asyncio.run(journal.synced())
+    assert asyncio.run(journal.wait_until_synced())
 
 
 def lines_in(data: Path) -> list[bytes]:
     return (data / "journal.jsonl").read_bytes().splitlines(keepends=True)
 
 
-def witnesses(entries: list[JournalEntry], who: str = "the index") -> list[Witness]:
-    return [Witness(who, e.chain or "", e.number or 0, e.hash or "", e.text) for e in entries if e.hash]
+def witnesses(entries: list[JournalEntry], who: str = "the index") -> list[ChainCheckpoint]:
+    return [ChainCheckpoint(who, e.chain or "", e.number or 0, e.hash or "", e.text) for e in entries if e.hash]
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Journal
 def found(sealed: tuple[Path, list[JournalEntry], bytes], content: bytes, index: bool = True) -> JournalCheck:
     data, known, _ = sealed
     (data / "journal.jsonl").write_bytes(content)
-    return check(data, witnesses(known) if index else [])
+    return check_journal(data, witnesses(known) if index else [])
 
 
 def test_a_journal_is_whole_over_restarts_and_says_where_its_chain_begins(sealed) -> None:
@@ -127,18 +127,18 @@ def test_a_chain_that_was_written_anew_is_not_the_one_that_others_know(sealed, t
     """Whoever may write the file may seal other lines: the index knows better, and so does a recording."""
     known = sealed[1]
     written(tmp_path, 20)
-    assert check(tmp_path, []).whole
-    assert "is not the one that the index knows" in (check(tmp_path, witnesses(known)).problem or "")
-    assert any("of another journal" in note for note in check(tmp_path, [], witnesses(known, "a.mcap")).notes)
+    assert check_journal(tmp_path, []).whole
+    assert "is not the one that the index knows" in (check_journal(tmp_path, witnesses(known)).problem or "")
+    assert any("of another journal" in note for note in check_journal(tmp_path, [], witnesses(known, "a.mcap")).notes)
     mine: list[JournalEntry] = []
     written(tmp_path, 2, mine.append)
     path = tmp_path / "journal.jsonl"
     path.write_bytes(b"".join(lines_in(tmp_path)[:-1]))
     assert "which the recording a.mcap knows" in (
-        check(tmp_path, [], witnesses(mine, "the recording a.mcap")).problem or ""
+        check_journal(tmp_path, [], witnesses(mine, "the recording a.mcap")).problem or ""
     )
     written(tmp_path, 3)
-    assert "is not the one" in (check(tmp_path, [], witnesses(mine, "a.mcap")).problem or "")
+    assert "is not the one" in (check_journal(tmp_path, [], witnesses(mine, "a.mcap")).problem or "")
 
 
 @pytest.mark.parametrize("kept", [1, 40, -1])
@@ -147,11 +147,11 @@ def test_a_line_that_was_cut_off_is_told_and_the_chain_goes_on(tmp_path: Path, k
     path = tmp_path / "journal.jsonl"
     *whole, last = lines_in(tmp_path)
     path.write_bytes(b"".join(whole) + last[:kept])
-    before = check(tmp_path, [])
+    before = check_journal(tmp_path, [])
     assert before.whole
     after: list[JournalEntry] = []
     written(tmp_path, 2, after.append)
-    result = check(tmp_path, [])
+    result = check_journal(tmp_path, [])
     assert result.whole
     if kept == -1:  # only its end of line is missing: nothing is lost
         assert (before.notes, result.notes, len(after)) == ([], [], 2)
@@ -160,7 +160,7 @@ def test_a_line_that_was_cut_off_is_told_and_the_chain_goes_on(tmp_path: Path, k
     assert "line 5: the line before was cut off" in result.notes[0]
     assert after[0].text.startswith(f"A line of the journal was cut off here, after {kept} bytes")
     path.write_bytes(path.read_bytes().replace(last[:kept] + b"\n", last[: kept - 1] + b"?\n", 1))
-    assert check(tmp_path, []).problem
+    assert check_journal(tmp_path, []).problem
 
 
 def test_a_damaged_last_line_does_not_look_mended_by_what_follows(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_damaged_last_line_does_not_look_mended_by_what_follows(tmp_path: Path
     after: list[JournalEntry] = []
     written(tmp_path, 1, after.append)
     assert "begins anew" in after[0].text
-    assert "line 4: it was changed" in (check(tmp_path, []).problem or "")
+    assert "line 4: it was changed" in (check_journal(tmp_path, []).problem or "")
 
 
 def test_a_journal_that_somebody_shortens_under_a_service_shows_the_gap(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_a_journal_that_somebody_shortens_under_a_service_shows_the_gap(tmp_path
     path = tmp_path / "journal.jsonl"
     path.write_bytes(b"".join(lines_in(tmp_path)[:-2]))
     journal.write(JournalKind.EVENT, "Later")
-    assert "number 4 is due, and this is 6" in (check(tmp_path, []).problem or "")
+    assert "number 4 is due, and this is 6" in (check_journal(tmp_path, []).problem or "")
 
 
 @pytest.mark.parametrize("compressed", [False, True])
@@ -197,13 +197,13 @@ def test_the_chain_goes_on_in_the_next_file(tmp_path: Path, compressed: bool) ->
         second.unlink()
     os.utime(first, (0, 0))  # a copy may have lost its age
     written(tmp_path)
-    assert check(tmp_path, []).model_dump(include={"whole", "notes", "lines"}) == {
+    assert check_journal(tmp_path, []).model_dump(include={"whole", "notes", "lines"}) == {
         "whole": True,
         "notes": [],
         "lines": 8,
     }
     first.unlink()
-    assert "number 5 is due, and this is 6" in (check(tmp_path, []).problem or "")
+    assert "number 5 is due, and this is 6" in (check_journal(tmp_path, []).problem or "")
 
 
 def write_many(data: Path, name: str) -> None:
@@ -219,7 +219,7 @@ def test_programs_that_write_at_once_make_one_chain(tmp_path: Path) -> None:
     for program in programs:
         program.join(60)
         assert program.exitcode == 0
-    assert check(tmp_path, []).model_dump(include={"whole", "lines"}) == {"whole": True, "lines": 601}
+    assert check_journal(tmp_path, []).model_dump(include={"whole", "lines"}) == {"whole": True, "lines": 601}
 
 
 def fill_a_disk(data: Path, faults: "multiprocessing.SimpleQueue[list]") -> None:
@@ -234,7 +234,7 @@ def fill_a_disk(data: Path, faults: "multiprocessing.SimpleQueue[list]") -> None
     sound = [journal.write(JournalKind.EVENT, f"Meanwhile {number}") for number in range(2)]
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     sound.append(journal.write(JournalKind.EVENT, "After"))
-    newest = [(entry.text, entry.hash is not None) for entry in journal.newest(3)]
+    newest = [(entry.text, entry.hash is not None) for entry in journal.newest_entries(3)]
     faults.put([sound, told, newest, [entry.text for entry in heard if entry.hash]])
 
 
@@ -250,7 +250,7 @@ def test_lines_wait_while_the_disk_is_full_and_none_is_lost(tmp_path: Path) -> N
     assert sealed[1] == "Before"
     assert sealed[2].startswith("A line of the journal was cut off here, after 100 bytes")
     assert sealed[3:] == ["Meanwhile 0", "Meanwhile 1", "After"]
-    result = check(tmp_path, [])
+    result = check_journal(tmp_path, [])
     assert (result.whole, result.lines, len(result.notes)) == (True, 6, 1)
 
 
@@ -259,14 +259,16 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     rotated = tmp_path / "journal.jsonl.1.gz"
     rotated.write_bytes(gzip.compress(b"x" * 1000)[:-5])
     with pytest.raises(JournalError, match=r"journal\.jsonl\.1\.gz: cannot be read to its end"):
-        check(tmp_path, [])
+        check_journal(tmp_path, [])
 
 
 def test_a_deed_says_who_what_from_where_and_with_what_result(tmp_path: Path) -> None:
     """Halves of characters, which may stand in a request, do not keep it out of the journal."""
     told: list[JournalEntry] = []
     journal = Journal(tmp_path, ignore, told.append)
-    journal.deed("start", "Start \ud800", client="192.0.2.7", result=Result.REFUSED, by="Ada", reason="Stop it first.")
+    journal.write_request(
+        "start", "Start \ud800", client="192.0.2.7", result=Result.REFUSED, by="Ada", reason="Stop it first."
+    )
     entry = told[-1]
     assert (entry.kind, entry.text, entry.by, entry.client) == (
         JournalKind.REQUEST,
@@ -276,4 +278,4 @@ def test_a_deed_says_who_what_from_where_and_with_what_result(tmp_path: Path) ->
     )
     assert (entry.result, entry.reason) == (Result.REFUSED, "Stop it first.")
     copy = shutil.copytree(tmp_path, tmp_path / "copy")
-    assert check(copy, []).whole
+    assert check_journal(copy, []).whole

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from app.learn.labels import labelled_files, spread_labels
+from app.learn.labels import expand_label_arguments, parse_labels
 from config.errors import ConfigurationError
 
 
@@ -21,27 +21,24 @@ from config.errors import ConfigurationError
     ],
 )
 def test_files_follow_their_label_in_every_natural_way(typed):
-    spread = spread_labels(typed)
+    spread = expand_label_arguments(typed)
     labels = [arg.removeprefix("--label=") for arg in spread if arg.startswith("--label=")]
     labels += [after for before, after in pairwise(spread) if before == "--label"]
-    found = labelled_files(sorted(labels))
+    found = parse_labels(sorted(labels))
     assert found == {"bladder": [Path("c")], "liver": [Path("a"), Path("b")]}
 
 
 def test_a_pattern_finds_its_files(tmp_path):
     for name in ("liver2.lvm", "liver1.lvm", "other.lvm"):
         (tmp_path / name).touch()
-    assert labelled_files([f"liver={tmp_path}/liver*.lvm"])["liver"] == [
-        tmp_path / "liver1.lvm",
-        tmp_path / "liver2.lvm",
-    ]
+    assert parse_labels([f"liver={tmp_path}/liver*.lvm"])["liver"] == [tmp_path / "liver1.lvm", tmp_path / "liver2.lvm"]
     with pytest.raises(ConfigurationError, match="no file fits"):
-        labelled_files([f"liver={tmp_path}/ureter*.lvm"])
+        parse_labels([f"liver={tmp_path}/ureter*.lvm"])
 
 
 def test_a_comma_may_be_part_of_a_name(tmp_path):
     (tmp_path / "a,b.lvm").touch()
-    assert labelled_files([f"liver={tmp_path}/a,b.lvm"])["liver"] == [tmp_path / "a,b.lvm"]
+    assert parse_labels([f"liver={tmp_path}/a,b.lvm"])["liver"] == [tmp_path / "a,b.lvm"]
 
 
 @pytest.mark.parametrize(
@@ -50,4 +47,4 @@ def test_a_comma_may_be_part_of_a_name(tmp_path):
 )
 def test_what_is_no_label_is_told(label, told):
     with pytest.raises(ConfigurationError, match=told):
-        labelled_files([label])
+        parse_labels([label])

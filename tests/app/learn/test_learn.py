@@ -10,11 +10,11 @@ import pytest
 from simulation import joined, raw_block, simulate_raw, write_lvm
 from typer.testing import CliRunner
 
-from acquisition.recordings.playing import Recording
+from acquisition.recordings.playing import RecordingSource
 from app.cli import app
 from app.headless import replay_recording
-from app.learn.writing import as_toml
-from app.record.run_file import Rig
+from app.learn.writing import library_to_toml
+from app.record.run_file import RecordingContext
 from config.errors import ConfigurationError, RecordingError
 from config.load import load_library, load_settings, load_tool
 
@@ -60,7 +60,9 @@ def learned(folder):
 
 def replayed(path: Path, library, tool_name="simulated"):
     tool = load_tool(tool_name)
-    return replay_recording(Recording(path, tool), Rig(tool, library, SETTINGS), lambda _: None).grasps
+    return replay_recording(
+        RecordingSource(path, tool), RecordingContext(tool, library, SETTINGS), lambda _: None
+    ).grasps
 
 
 def test_it_names_the_tissues_of_other_recordings(folder, learned):
@@ -96,7 +98,7 @@ def test_a_report_lies_beside_it(folder, learned):
 
 
 def test_what_is_written_reads_as_the_same_library(learned):
-    content = tomllib.loads(as_toml(learned[0]))
+    content = tomllib.loads(library_to_toml(learned[0]))
     assert type(learned[0]).model_validate_json(json.dumps(content)) == learned[0]
 
 

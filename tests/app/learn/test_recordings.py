@@ -7,12 +7,12 @@ import pytest
 from grasps import by, processed
 from learned import gathered, learner
 
-from acquisition.pipeline import Pipeline
-from acquisition.recordings.playing import Recording
+from acquisition.pipeline import ConditioningPipeline
+from acquisition.recordings.playing import RecordingSource
 from app.headless import replay_recording
-from app.record.run_file import Rig
+from app.record.run_file import RecordingContext
 from config.load import load_library, load_settings, load_tool
-from estimator.session import EstimationSession
+from estimator.session import TissueEstimator
 
 pytestmark = pytest.mark.recordings
 TOOL, BASE, SETTINGS = load_tool("smart_tool_2013"), load_library("porcine"), load_settings()
@@ -46,8 +46,8 @@ def libraries(by_name):
 def answers(by_name, libraries):
     def answer(library, name):
         path = by_name[name]
-        rig = Rig(TOOL, libraries[library], SETTINGS)
-        return replay_recording(Recording(path, TOOL), rig, lambda _: None).grasps
+        rig = RecordingContext(TOOL, libraries[library], SETTINGS)
+        return replay_recording(RecordingSource(path, TOOL), rig, lambda _: None).grasps
 
     return answer
 
@@ -81,12 +81,12 @@ def test_known_recordings_are_named_right(answers, tissue, ramp):
 @pytest.mark.parametrize("library", ["4", "025", "both"])
 def test_a_ureter_with_a_slipping_encoder_is_unknown_and_never_named_on_the_way(by_name, libraries, library, ramp):
     session, pipeline, labels = (
-        EstimationSession(TOOL, libraries[library], SETTINGS),
-        Pipeline(TOOL, SETTINGS.conditioning),
+        TissueEstimator(TOOL, libraries[library], SETTINGS),
+        ConditioningPipeline(TOOL, SETTINGS.conditioning),
         set(),
     )
     records = []
-    with Recording(by_name[f"ureter{ramp}Hz1"], TOOL) as recording:
+    with RecordingSource(by_name[f"ureter{ramp}Hz1"], TOOL) as recording:
         while (raw := recording.read_block()) is not None:
             answer = session.process(pipeline.process(raw))
             labels.add(answer.identification.label)
@@ -97,14 +97,14 @@ def test_a_ureter_with_a_slipping_encoder_is_unknown_and_never_named_on_the_way(
 
 
 def test_a_learned_library_answers_alike_whatever_the_size_of_blocks(by_name, libraries):
-    pipeline, blocks = Pipeline(TOOL, SETTINGS.conditioning), []
-    with Recording(by_name["gallbladder4Hz1"], TOOL) as recording:
+    pipeline, blocks = ConditioningPipeline(TOOL, SETTINGS.conditioning), []
+    with RecordingSource(by_name["gallbladder4Hz1"], TOOL) as recording:
         while len(blocks) < 30 and (raw := recording.read_block()) is not None:
             blocks.append(pipeline.process(raw).samples)
     samples = np.concatenate(blocks)
     told = []
     for size in (5, 10, 100):
-        answer, records = processed(EstimationSession(TOOL, libraries["both"], SETTINGS), samples, by(samples, size))
+        answer, records = processed(TissueEstimator(TOOL, libraries["both"], SETTINGS), samples, by(samples, size))
         told.append(
             (np.concatenate([block.estimates for block in answer]).tobytes(), [r.probabilities for r in records])
         )

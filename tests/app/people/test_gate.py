@@ -8,8 +8,8 @@ from fastapi import FastAPI
 
 from app import problems
 from app.people import gate, tokens
-from app.people.guard import Guard
-from app.people.roles import needs
+from app.people.guard import Authenticator
+from app.people.roles import require_role
 from app.plan import ServicePlan
 from app.wire import Role, SignIn
 
@@ -40,8 +40,10 @@ def answer(app: Any, path: str, receive: Any) -> int:
 @pytest.fixture
 def app(plan: ServicePlan) -> FastAPI:
     app = FastAPI()
-    problems.install(app)
-    app.add_middleware(gate.Gate, guard=Guard(plan), open_paths=["/api/open"], most_body_bytes=1000)
+    problems.add_error_handlers(app)
+    app.add_middleware(
+        gate.AuthMiddleware, authenticator=Authenticator(plan), public_paths=["/api/open"], max_body_bytes=1000
+    )
 
     @app.post("/api/open")
     async def is_open(wanted: SignIn) -> str:
@@ -51,7 +53,7 @@ def app(plan: ServicePlan) -> FastAPI:
 
 
 def test_a_body_that_does_not_come_is_not_waited_for(app: FastAPI, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate, "BODY_S", 0.05)
+    monkeypatch.setattr(gate, "BODY_TIMEOUT_S", 0.05)
 
     async def silence() -> Any:
         await asyncio.sleep(60.0)
@@ -60,9 +62,9 @@ def test_a_body_that_does_not_come_is_not_waited_for(app: FastAPI, monkeypatch: 
 
 
 def test_a_route_at_an_open_address_still_needs_what_it_says(app: FastAPI, plan: ServicePlan) -> None:
-    tokens.add(plan.data, "Ada", Role.ADMIN)
+    tokens.add_token(plan.data_folder, "Ada", Role.ADMIN)
     app.router.routes.clear()
-    app.post("/api/open", dependencies=[needs(Role.VIEWER)])(lambda: None)
+    app.post("/api/open", dependencies=[require_role(Role.VIEWER)])(lambda: None)
 
     async def nothing() -> Any:
         return {"type": "http.request", "body": b"", "more_body": False}

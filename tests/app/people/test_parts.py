@@ -3,13 +3,13 @@
 import pytest
 from starlette.requests import Request
 
-from app.people.lease import Control
-from app.people.origin import comes_from_here, is_encrypted, is_of_this_site
-from app.people.rates import Rates
-from app.people.sessions import MOST_OF_ONE, Sessions
-from app.people.tokens import digest
+from app.people.lease import ControlLease
+from app.people.origin import is_encrypted, is_local_request, is_same_origin
+from app.people.rates import RateLimiter
+from app.people.sessions import MAX_SESSIONS_PER_TOKEN, BrowserSessions
+from app.people.tokens import hash_secret
 from config.errors import RefusedError
-from config.schema import Server
+from config.schema import ServerSettings
 
 
 class Clock:
@@ -25,64 +25,68 @@ def clock() -> Clock:
 
 
 def test_a_session_ends_when_nothing_is_heard_of_it(clock: Clock) -> None:
-    sessions = Sessions(60.0, clock)
-    key = digest(sessions.begin("ada"))
+    sessions = BrowserSessions(60.0, clock)
+    key = hash_secret(sessions.begin("ada"))
     clock.now_s += 59.0
-    sessions.use(key)
+    sessions.touch(key)
     clock.now_s += 59.0
-    assert sessions.token_of(key) == "ada"
+    assert sessions.find_token_hash(key) == "ada"
     clock.now_s += 2.0
-    assert sessions.token_of(key) is None
-    sessions.use(key)  # too late
-    assert sessions.token_of(key) is None
+    assert sessions.find_token_hash(key) is None
+    sessions.touch(key)  # too late
+    assert sessions.find_token_hash(key) is None
 
 
 def test_a_session_is_ended_at_once_and_one_token_does_not_fill_the_memory(clock: Clock) -> None:
-    sessions = Sessions(60.0, clock)
-    first = digest(sessions.begin("ada"))
-    other = digest(sessions.begin("bob"))
-    for _ in range(MOST_OF_ONE):
+    sessions = BrowserSessions(60.0, clock)
+    first = hash_secret(sessions.begin("ada"))
+    other = hash_secret(sessions.begin("bob"))
+    for _ in range(MAX_SESSIONS_PER_TOKEN):
         clock.now_s += 0.1
-        last = digest(sessions.begin("ada"))
-    assert (sessions.token_of(first), sessions.token_of(last), sessions.token_of(other)) == (None, "ada", "bob")
+        last = hash_secret(sessions.begin("ada"))
+    assert (sessions.find_token_hash(first), sessions.find_token_hash(last), sessions.find_token_hash(other)) == (
+        None,
+        "ada",
+        "bob",
+    )
     sessions.end(other)
-    assert sessions.token_of(other) is None
+    assert sessions.find_token_hash(other) is None
 
 
 def test_one_has_control_until_he_does_nothing_gives_it_back_or_loses_it(clock: Clock) -> None:
-    control = Control(600.0, clock)
-    assert control.take("ada") is None
+    control = ControlLease(600.0, clock)
+    assert control.acquire("ada") is None
     with pytest.raises(RefusedError, match=r"ada has control.*10\.0 min.*take_over"):
-        control.take("bob")
+        control.acquire("bob")
     clock.now_s += 599.0
     control.renew("bob")  # changes nothing
     control.renew("ada")
     clock.now_s += 599.0
-    assert (control.holder, control.take("ada")) == ("ada", "ada")
-    assert control.take("bob", over=True) == "ada"
+    assert (control.holder, control.acquire("ada")) == ("ada", "ada")
+    assert control.acquire("bob", take_over=True) == "ada"
     assert (control.holder, control.release("ada"), control.release("bob"), control.holder) == (
         "bob",
         False,
         True,
         None,
     )
-    control.take("bob")
+    control.acquire("bob")
     clock.now_s += 601.0
     assert (control.holder, control.expires_in_s) == (None, 0.0)
     control.renew("bob")  # it is not his any more
-    assert control.take("ada") is None
+    assert control.acquire("ada") is None
 
 
 def test_who_asks_too_often_waits_and_others_do_not(clock: Clock) -> None:
-    rates = Rates(per_s=10.0, burst=5, clock=clock)
-    assert [rates.wait_s("eve") for _ in range(5)] == [0.0] * 5
-    assert rates.wait_s("eve") == pytest.approx(0.1)
-    assert rates.wait_s("ada") == 0.0
+    rates = RateLimiter(rate_per_s=10.0, burst=5, clock=clock)
+    assert [rates.consume_or_wait_s("eve") for _ in range(5)] == [0.0] * 5
+    assert rates.consume_or_wait_s("eve") == pytest.approx(0.1)
+    assert rates.consume_or_wait_s("ada") == 0.0
     clock.now_s += 0.11
-    assert rates.wait_s("eve") == 0.0
-    assert rates.wait_s("eve") > 0.0
+    assert rates.consume_or_wait_s("eve") == 0.0
+    assert rates.consume_or_wait_s("eve") > 0.0
     clock.now_s += 3600.0
-    assert [rates.wait_s("eve") for _ in range(6)].count(0.0) == 5
+    assert [rates.consume_or_wait_s("eve") for _ in range(6)].count(0.0) == 5
 
 
 def asked_by(address: str | None, *headers: tuple[str, str], host: str | None = "localhost:8000") -> Request:
@@ -103,10 +107,10 @@ def asked_by(address: str | None, *headers: tuple[str, str], host: str | None = 
 
 @pytest.mark.parametrize("host", ["localhost", "LOCALHOST:8000", "[::1]:9999", "tool.example", "[fe80::1]"])
 def test_who_sits_at_the_machine_asks_by_one_of_its_names(host: str) -> None:
-    assert comes_from_here(asked_by("127.0.0.1", host=host), ("tool.example", "[fe80::1]"))
-    assert comes_from_here(asked_by("::1", host=host), ("tool.example", "[fe80::1]"))
-    assert not comes_from_here(asked_by("192.0.2.7", host=host), ("tool.example", "[fe80::1]"))
-    assert not comes_from_here(asked_by(None, host=host), ("tool.example", "[fe80::1]"))
+    assert is_local_request(asked_by("127.0.0.1", host=host), ("tool.example", "[fe80::1]"))
+    assert is_local_request(asked_by("::1", host=host), ("tool.example", "[fe80::1]"))
+    assert not is_local_request(asked_by("192.0.2.7", host=host), ("tool.example", "[fe80::1]"))
+    assert not is_local_request(asked_by(None, host=host), ("tool.example", "[fe80::1]"))
 
 
 @pytest.mark.parametrize(
@@ -135,21 +139,21 @@ def test_who_sits_at_the_machine_asks_by_one_of_its_names(host: str) -> None:
     ],
 )
 def test_any_other_name_is_none_of_this_machine(host: str | None) -> None:
-    assert not comes_from_here(asked_by("127.0.0.1", host=host), ())
+    assert not is_local_request(asked_by("127.0.0.1", host=host), ())
 
 
 def test_two_names_are_none() -> None:
-    assert not comes_from_here(asked_by("127.0.0.1", ("host", "localhost:8000")), ())
+    assert not is_local_request(asked_by("127.0.0.1", ("host", "localhost:8000")), ())
 
 
 def test_the_address_it_listens_on_is_a_name_of_its_own() -> None:
     request = asked_by("127.0.0.5", host="127.0.0.5:8000")
-    assert not comes_from_here(request, ())
+    assert not is_local_request(request, ())
     request.scope["server"] = ("127.0.0.5", 8000)
-    assert comes_from_here(request, ())
+    assert is_local_request(request, ())
     request = asked_by("::1", host="[fd00::5]:8000")
     request.scope["server"] = ("fd00::5", 8000)
-    assert comes_from_here(request, ())
+    assert is_local_request(request, ())
 
 
 @pytest.mark.parametrize(
@@ -157,7 +161,7 @@ def test_the_address_it_listens_on_is_a_name_of_its_own() -> None:
 )
 @pytest.mark.parametrize("value", ["127.0.0.1", "for=127.0.0.1", ""])
 def test_a_proxy_is_not_this_machine(name: str, value: str) -> None:
-    assert not comes_from_here(asked_by("127.0.0.1", (name.lower(), value)), ())
+    assert not is_local_request(asked_by("127.0.0.1", (name.lower(), value)), ())
 
 
 @pytest.mark.parametrize(
@@ -174,9 +178,9 @@ def test_a_proxy_is_not_this_machine(name: str, value: str) -> None:
 )
 def test_a_request_that_another_sites_page_makes_is_not_the_persons(sites: list[str], here: bool) -> None:
     said = [("sec-fetch-site", each) for each in sites]
-    assert comes_from_here(asked_by("127.0.0.1", *said), ()) is here
-    assert not comes_from_here(asked_by("127.0.0.1", ("origin", "null"), *said), ())
-    assert comes_from_here(asked_by("127.0.0.1", ("origin", "http://localhost:8000"), *said), ())
+    assert is_local_request(asked_by("127.0.0.1", *said), ()) is here
+    assert not is_local_request(asked_by("127.0.0.1", ("origin", "null"), *said), ())
+    assert is_local_request(asked_by("127.0.0.1", ("origin", "http://localhost:8000"), *said), ())
 
 
 @pytest.mark.parametrize(
@@ -204,12 +208,12 @@ def test_a_request_that_another_sites_page_makes_is_not_the_persons(sites: list[
     ],
 )
 def test_another_sites_page_is_told_by_its_origin(host: str, origin: str, own: bool) -> None:
-    assert is_of_this_site(asked_by("192.0.2.7", ("origin", origin), host=host)) is own
-    assert is_of_this_site(asked_by("192.0.2.7", ("origin", origin), ("origin", origin), host=host)) is False
+    assert is_same_origin(asked_by("192.0.2.7", ("origin", origin), host=host)) is own
+    assert is_same_origin(asked_by("192.0.2.7", ("origin", origin), ("origin", origin), host=host)) is False
 
 
 def test_a_program_says_no_origin() -> None:
-    assert is_of_this_site(asked_by("192.0.2.7")) is None
+    assert is_same_origin(asked_by("192.0.2.7")) is None
 
 
 @pytest.mark.parametrize(
@@ -228,7 +232,7 @@ def test_a_program_says_no_origin() -> None:
 def test_only_a_proxy_of_the_settings_is_believed(
     client: str | None, scheme: str, said: list[str], encrypted: bool
 ) -> None:
-    server = Server(trusted_proxies=("10.0.0.0/8", "fd00::5"))
+    server = ServerSettings(trusted_proxies=("10.0.0.0/8", "fd00::5"))
     request = asked_by(client, *(("x-forwarded-proto", each) for each in said))
     request.scope["scheme"] = scheme
     assert is_encrypted(request, server) is encrypted

@@ -7,13 +7,13 @@ from people import RIGHTS
 from starlette.routing import Mount
 
 from app import main
-from app.people.gate import GUARDED
-from app.people.rights import rights_of
+from app.people.gate import PROTECTED_PATHS
+from app.people.rights import collect_route_permissions
 from app.plan import ServicePlan
 
 
 def test_every_route_needs_what_was_agreed() -> None:
-    assert rights_of(main.ROUTERS) == RIGHTS
+    assert collect_route_permissions(main.ROUTERS) == RIGHTS
 
 
 def test_a_route_that_does_not_say_who_may_keeps_the_service_from_starting(
@@ -29,8 +29,8 @@ def test_a_route_that_does_not_say_who_may_keeps_the_service_from_starting(
 def test_what_is_beside_the_routers_is_guarded_or_the_dashboard(plan: ServicePlan) -> None:
     app = main.create_app(plan)
     direct = [route for route in app.routes if hasattr(route, "path")]
-    open_ones = {route.path for route in direct if not route.path.startswith(GUARDED)}
-    assert open_ones <= {*main.PAGES, ""}  # "" is the folder of the dashboard's files
+    open_ones = {route.path for route in direct if not route.path.startswith(PROTECTED_PATHS)}
+    assert open_ones <= {*main.DASHBOARD_PATHS, ""}  # "" is the folder of the dashboard's files
     assert {route.path for route in direct if isinstance(route, Mount)} <= {"", "/static-offline-docs"}
-    pages = [route for route in direct if isinstance(route, APIRoute) and route.path in main.PAGES]
+    pages = [route for route in direct if isinstance(route, APIRoute) and route.path in main.DASHBOARD_PATHS]
     assert pages and all(route.methods == {"GET"} for route in pages)

@@ -18,7 +18,7 @@ def record(path: Path, tissue: str = "liver", cycles: int = 2) -> Path:
         cycles=cycles,
         seed=3,
         real_time=False,
-        record=path,
+        recording_path=path,
         progress=lambda _: None,
     )
     return path

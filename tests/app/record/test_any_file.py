@@ -15,11 +15,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, Metadata
 
-from acquisition.recordings.chunks import unpack
-from acquisition.recordings.container import MAGIC, Container
-from acquisition.recordings.playing import Recording
-from app.record.indexing import recorded_file, recorded_messages
-from app.record.mend import mend
+from acquisition.recordings.chunks import decompress_chunk
+from acquisition.recordings.container import MAGIC, McapFile
+from acquisition.recordings.playing import RecordingSource
+from app.record.indexing import read_file_record, read_recorded_messages
+from app.record.mend import recover_file
 from app.record.reading import read_run
 from config.errors import RecordingError
 from config.load import load_tool
@@ -30,7 +30,7 @@ Record = tuple[int, bytes]
 
 
 def played(path: Path) -> None:
-    recording = Recording(path, RIG)
+    recording = RecordingSource(path, RIG)
     assert recording.duration_s <= 86_400
     while recording.read_block() is not None:
         pass
@@ -39,9 +39,9 @@ def played(path: Path) -> None:
 READERS: tuple[Callable[[Path], object], ...] = (
     read_run,
     played,
-    recorded_file,
-    mend,
-    lambda path: list(recorded_messages(path)),
+    read_file_record,
+    recover_file,
+    lambda path: list(read_recorded_messages(path)),
 )
 
 
@@ -87,7 +87,7 @@ def parts(recorded: Path) -> tuple[list[Record], list[Record]]:
         if opcode == Opcode.CHUNK and inside:
             continue
         if opcode == Opcode.CHUNK:
-            inside = records_in(unpack(Chunk.read(ReadDataStream(BytesIO(content)))))
+            inside = records_in(decompress_chunk(Chunk.read(ReadDataStream(BytesIO(content)))))
         if opcode != Opcode.MESSAGE_INDEX:
             outside.append((opcode, content))
     return outside, inside
@@ -205,5 +205,7 @@ def test_a_record_that_claims_a_huge_length_is_told_or_is_where_the_file_ends(
 
 def test_the_shipped_way_of_packing_is_read_in_any_size(recorded: Path) -> None:
     assert all(
-        len(unpack(each)) == each.uncompressed_size for each in Container(recorded).records() if isinstance(each, Chunk)
+        len(decompress_chunk(each)) == each.uncompressed_size
+        for each in McapFile(recorded).iter_records()
+        if isinstance(each, Chunk)
     )

@@ -8,34 +8,34 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.blocks import SAMPLE, SampleBlock
+from acquisition.blocks import SAMPLE_DTYPE, SampleBlock
 from app.record.reading import read_run
-from app.record.recorder import Brief, Estimated, Recorder
-from app.record.run_file import Rig
-from app.record.topics import RUN as RUN_TOPIC
-from app.record.topics import write
+from app.record.recorder import PublishedEstimates, Recorder, RunMetadata
+from app.record.run_file import RecordingContext
+from app.record.topics import RUN_TOPIC as RUN_TOPIC
+from app.record.topics import encode_message
 from app.wire import Run, RunState
 from config.load import load_library, load_protocol, load_settings, load_tool
 from estimator.blocks import estimate_dtype
 
 PROTOCOL = load_protocol("trapezoid_4hz")
-RIG = Rig(load_tool("simulated"), load_library("porcine"), load_settings())
+RIG = RecordingContext(load_tool("simulated"), load_library("porcine"), load_settings())
 BLOCK, BEFORE, RUN, AFTER = 5, 40, 60, 300  # blocks; recording ends with the second after the run, and a grace
 TISSUES = len(RIG.library.tissues)
 
 
 def block(number: int) -> SampleBlock:
-    samples = np.zeros(BLOCK, SAMPLE)
+    samples = np.zeros(BLOCK, SAMPLE_DTYPE)
     samples["tick"] = np.arange(BLOCK) + (number - 1) * BLOCK
     run = "20261128-120000-001" if BEFORE < number <= BEFORE + RUN else ""
     return SampleBlock(number, number * BLOCK * 1_000_000, 0, samples, run)
 
 
-def estimated(number: int) -> Estimated:
+def estimated(number: int) -> PublishedEstimates:
     estimates = np.zeros(BLOCK, estimate_dtype(TISSUES))
     estimates["tick"] = block(number).samples["tick"]
     estimates["threshold_n"] = number
-    return Estimated(number, number * BLOCK * 1_000_000, estimates)
+    return PublishedEstimates(number, number * BLOCK * 1_000_000, estimates)
 
 
 @settings(max_examples=25, deadline=None)
@@ -44,13 +44,13 @@ def test_no_estimate_is_lost_whichever_comes_first(leads: list[int]) -> None:
     """`leads`: by how many blocks the estimates are ahead of the samples, or behind them, in turn."""
     with tempfile.TemporaryDirectory() as folder:
         recorder = Recorder(Path(folder), RIG)
-        recorder.brief(Brief("20261128-120000-001", PROTOCOL.model_dump_json(), 1, "liver", None))
+        recorder.announce_run(RunMetadata("20261128-120000-001", PROTOCOL.model_dump_json(), 1, "liver", None))
         last, told = BEFORE + RUN + AFTER, 0
         for number in range(1, last + 1):
             while told < min(number + leads[number % len(leads)], last):
                 told += 1
-                recorder.take_estimates(estimated(told))
-            recorder.take_samples(block(number))
+                recorder.add_estimates(estimated(told))
+            recorder.add_samples(block(number))
         assert recorder.file is None
         kept = read_run(Path(folder) / "20261128-120000-001.mcap")
     np.testing.assert_array_equal(kept.estimates["threshold_n"], 1 + kept.samples["tick"] // BLOCK)
@@ -76,17 +76,17 @@ PATIENCE = 2000  # blocks
 def test_a_server_that_hangs_leaves_the_end_of_its_run_in_the_file(tmp_path: Path, told_after: int | None) -> None:
     """The acquisition says how it ended; the server, once it is back, tells the grasps, too, and has the last word."""
     recorder = Recorder(tmp_path, RIG)
-    recorder.brief(Brief(RUN_ID, PROTOCOL.model_dump_json(), 1, "liver", None))
-    recorder.tell(RUN_TOPIC, write(BEGUN))
+    recorder.announce_run(RunMetadata(RUN_ID, PROTOCOL.model_dump_json(), 1, "liver", None))
+    recorder.add_message(RUN_TOPIC, encode_message(BEGUN))
     for number in range(1, BEFORE + RUN + AFTER + PATIENCE):
-        recorder.take_samples(block(number))
-        recorder.take_estimates(estimated(number))
+        recorder.add_samples(block(number))
+        recorder.add_estimates(estimated(number))
         after = number - BEFORE - RUN
         if after == 0:
-            recorder.run_ended(RUN_ID, RunState.FAILED, "the server was not heard")
+            recorder.on_run_ended(RUN_ID, RunState.FAILED, "the server was not heard")
         if after == told_after:
             ended = BEGUN.model_copy(update={"state": RunState.FAILED, "why": "told", "grasps": 3})
-            recorder.tell(RUN_TOPIC, write(ended))
+            recorder.add_message(RUN_TOPIC, encode_message(ended))
         assert (recorder.file is None) == (number <= BEFORE or after > (told_after or 200 + PATIENCE))
     kept = read_run(tmp_path / f"{RUN_ID}.mcap")
     assert kept.run.state is RunState.FAILED

@@ -18,12 +18,12 @@ from mcap_protobuf.decoder import DecoderFactory
 from old_files import without_limit
 
 from acquisition.recordings import layout
-from acquisition.recordings.container import Container
-from acquisition.recordings.playing import Recording
-from app.record.mend import mend, mend_folder
+from acquisition.recordings.container import McapFile
+from acquisition.recordings.playing import RecordingSource
+from app.record.mend import recover_file, recover_folder
 from app.record.reading import read_run
-from app.record.run_file import Rig, RunFile
-from app.record.topics import TOPICS
+from app.record.run_file import McapRunWriter, RecordingContext
+from app.record.topics import TOPIC_MODELS
 from config.errors import RecordingError
 from config.load import load_library, load_settings, load_tool
 
@@ -55,7 +55,7 @@ def test_the_plain_mcap_package_reads_every_sample_with_its_schema(recorded: Pat
 def test_it_says_the_limit_that_was_enforced_and_so_does_a_replay(recorded: Path) -> None:
     run = read_run(recorded)
     assert run.samples["limit_n"].min() == pytest.approx(1.80, abs=0.005)
-    with Recording(recorded, RIG) as replayed:
+    with RecordingSource(recorded, RIG) as replayed:
         blocks = list(iter(replayed.read_block, None))
     np.testing.assert_array_equal(np.concatenate([block.limit_n for block in blocks]), run.samples["limit_n"])
     assert all(0.5 < grasp.peak_share_of_limit < 1.02 for grasp in run.grasps)
@@ -67,14 +67,14 @@ def test_a_file_of_the_time_before_opens_and_says_no_limit(recorded: Path, tmp_p
     assert np.isnan(run.samples["limit_n"]).all()
     for name in set(run.samples.dtype.names) - {"limit_n"}:
         np.testing.assert_array_equal(run.samples[name], now.samples[name])
-    with Recording(old, RIG) as replayed:
+    with RecordingSource(old, RIG) as replayed:
         assert all(np.isnan(block.limit_n).all() for block in iter(replayed.read_block, None))
 
 
 def test_its_messages_fit_schemas_without_references_and_alternatives(recorded: Path) -> None:
     seen = set()
     with recorded.open("rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages(topics=list(TOPICS)):
+        for schema, channel, message in make_reader(file).iter_messages(topics=list(TOPIC_MODELS)):
             rules = json.loads(schema.data)
             jsonschema.Draft202012Validator.check_schema(rules)
             jsonschema.validate(json.loads(message.data), rules)
@@ -84,10 +84,10 @@ def test_its_messages_fit_schemas_without_references_and_alternatives(recorded: 
 
 
 def test_it_says_how_it_came_to_be(recorded: Path) -> None:
-    container = Container(recorded)
+    container = McapFile(recorded)
     assert {"tool.json", "library.json", "settings.json", "protocol.json", "versions"} == set(container.attachments)
-    assert container.about["protocol"] == "strong_2hz"
-    assert container.about["tissue"] == "liver"
+    assert container.metadata["protocol"] == "strong_2hz"
+    assert container.metadata["tissue"] == "liver"
     assert container.complete
     run = read_run(recorded)
     assert [grasp.index for grasp in run.grasps] == [1, 2]
@@ -135,22 +135,22 @@ def test_what_was_cut_off_is_made_whole_once(recorded: Path, tmp_path: Path) -> 
     path = tmp_path / "cut.mcap"
     path.write_bytes(recorded.read_bytes()[:-200_000])
     before = read_run(path)
-    assert [mended.name for mended in mend_folder(tmp_path)] == ["cut.mcap"]
+    assert [mended.name for mended in recover_folder(tmp_path)] == ["cut.mcap"]
     after = read_run(path)
     assert after.samples.tobytes() == before.samples.tobytes()
     assert after.estimates.tobytes() == before.estimates.tobytes()
     assert after.grasps == before.grasps
-    container = Container(path)
+    container = McapFile(path)
     assert container.complete
-    assert container.ended["cut_off"] == "true"
-    assert not mend(path)
+    assert container.end_metadata["cut_off"] == "true"
+    assert not recover_file(path)
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_what_cannot_be_made_whole_stays_as_it_is(recorded: Path, tmp_path: Path) -> None:
     path = tmp_path / "foreign.mcap"
     path.write_bytes(b"no recording at all")
-    assert list(mend_folder(tmp_path)) == []
+    assert list(recover_folder(tmp_path)) == []
     assert path.read_bytes() == b"no recording at all"
 
 
@@ -159,7 +159,7 @@ def written(path: Path, profile: str, about: dict[str, str] | None = None) -> Pa
         writer = Writer(file)
         writer.start(profile)
         if about is not None:
-            writer.add_metadata(layout.ABOUT, about)
+            writer.add_metadata(layout.METADATA_NAME, about)
         writer.finish()
     return path
 
@@ -179,7 +179,7 @@ def test_a_foreign_or_later_file_is_refused_with_its_reason(
 ) -> None:
     path = written(tmp_path / "other.mcap", profile, about)
     with pytest.raises(RecordingError) as caught:
-        Recording(path, RIG)
+        RecordingSource(path, RIG)
     assert str(path) in str(caught.value)
     assert says in str(caught.value)
 
@@ -189,22 +189,22 @@ def test_what_is_no_mcap_file_is_refused(tmp_path: Path, content: bytes, says: s
     path = tmp_path / "other.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=says):
-        Recording(path, RIG)
+        RecordingSource(path, RIG)
 
 
 def test_a_recording_named_otherwise_is_known_by_its_content(recorded: Path, tmp_path: Path) -> None:
     path = tmp_path / "renamed.lvm"
     shutil.copyfile(recorded, path)
-    assert Recording(path, RIG).tool.name == "simulated"
+    assert RecordingSource(path, RIG).tool.name == "simulated"
 
 
 @pytest.fixture
-def run_file(tmp_path: Path) -> RunFile:
-    rig = Rig(load_tool("simulated"), load_library("porcine"), load_settings())
-    return RunFile(tmp_path / "a.mcap", rig, {"run_id": "a"}, {}, 0)
+def run_file(tmp_path: Path) -> McapRunWriter:
+    rig = RecordingContext(load_tool("simulated"), load_library("porcine"), load_settings())
+    return McapRunWriter(tmp_path / "a.mcap", rig, {"run_id": "a"}, {}, 0)
 
 
-def test_a_disk_that_takes_its_time_holds_nobody_up(run_file: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_takes_its_time_holds_nobody_up(run_file: McapRunWriter, monkeypatch: pytest.MonkeyPatch) -> None:
     goes_on, asked = threading.Event(), []
     monkeypatch.setattr(os, "fdatasync", lambda fd: asked.append(fd) or goes_on.wait(30))
     while not asked:
@@ -213,11 +213,11 @@ def test_a_disk_that_takes_its_time_holds_nobody_up(run_file: RunFile, monkeypat
     assert len(asked) == 1
     goes_on.set()
     run_file.close()
-    assert Container(run_file.path).complete
+    assert McapFile(run_file.path).complete
 
 
 def test_what_the_disk_refuses_later_is_told_by_a_later_flush(
-    run_file: RunFile, monkeypatch: pytest.MonkeyPatch
+    run_file: McapRunWriter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(fd: int) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))

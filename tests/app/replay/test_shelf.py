@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from simulation import joined, simulate_raw, write_lvm
 
-from app.aside import Tell, run_aside
+from app.aside import SendMessage, run_in_background_process
 from app.plan import ServicePlan
 from app.replay import films
-from app.replay.films import Films
-from app.replay.shelf import Shelf
+from app.replay.films import ReplayCacheStore
+from app.replay.shelf import RecordingCatalog
 from app.wire import RecordingInfo
 from config.errors import RecordingError, RefusedError, ServiceError
 from config.load import load_library, load_settings, load_tool
@@ -35,18 +35,18 @@ def plan(tmp_path: Path) -> ServicePlan:
     return plan
 
 
-def with_shelf(plan: ServicePlan, use: Callable[[Shelf], Awaitable[None]]) -> None:
+def with_shelf(plan: ServicePlan, use: Callable[[RecordingCatalog], Awaitable[None]]) -> None:
     async def used() -> None:
-        async with contextlib.aclosing(Shelf(plan)) as shelf:
+        async with contextlib.aclosing(RecordingCatalog(plan)) as shelf:
             await use(shelf)
 
     asyncio.run(used())
 
 
-async def read(shelf: Shelf) -> dict[str, RecordingInfo]:
+async def read(shelf: RecordingCatalog) -> dict[str, RecordingInfo]:
     """The list once everything on it has been read."""
     while True:
-        recordings = (await shelf.listing()).recordings
+        recordings = (await shelf.list_recordings()).recordings
         if all(recording.duration_s or recording.problem for recording in recordings):
             return {recording.name: recording for recording in recordings}
         await asyncio.sleep(0.05)
@@ -57,8 +57,8 @@ def test_the_list_comes_at_once_and_knows_more_when_it_is_asked_again(plan: Serv
     broken.write_text("no recording\n")
     (plan.recordings_folder / "notes.txt").write_text("no recording either\n")
 
-    async def use(shelf: Shelf) -> None:
-        first = await shelf.listing()
+    async def use(shelf: RecordingCatalog) -> None:
+        first = await shelf.list_recordings()
         assert first.folder == str(plan.recordings_folder)
         assert {(r.name, r.duration_s, r.problem) for r in first.recordings} == {
             ("broken.lvm", None, None),
@@ -96,13 +96,13 @@ def test_a_name_never_leaves_the_folder(plan: ServicePlan, name: str) -> None:
     (folder / "sub").mkdir()
     write_lvm(folder / "sub" / "inner.lvm", SIMULATED)
     (folder / "folder.lvm").mkdir()
-    (folder / "out.lvm").symlink_to(plan.data / "outside.lvm")
+    (folder / "out.lvm").symlink_to(plan.data_folder / "outside.lvm")
 
-    async def use(shelf: Shelf) -> None:
-        assert await shelf.path("sound.lvm.gz") == folder / "sound.lvm.gz"
-        assert [recording.name for recording in (await shelf.listing()).recordings] == ["sound.lvm.gz"]
+    async def use(shelf: RecordingCatalog) -> None:
+        assert await shelf.find_path("sound.lvm.gz") == folder / "sound.lvm.gz"
+        assert [recording.name for recording in (await shelf.list_recordings()).recordings] == ["sound.lvm.gz"]
         with pytest.raises(RefusedError, match="There is no recording"):
-            await shelf.path(name)
+            await shelf.find_path(name)
 
     with_shelf(plan, use)
 
@@ -114,26 +114,26 @@ def test_files_of_the_command_line_come_first_wherever_they_are_and_equal_names_
     paths[-1].parent.mkdir()
     write_lvm(paths[-1], SIMULATED)
 
-    async def use(shelf: Shelf) -> None:
-        names = [recording.name for recording in (await shelf.listing()).recordings]
+    async def use(shelf: RecordingCatalog) -> None:
+        names = [recording.name for recording in (await shelf.list_recordings()).recordings]
         assert names == ["outside.lvm", "sound.lvm.gz", "outside (2).lvm"]
-        assert [await shelf.path(name) for name in names] == [path.resolve() for path in paths]
+        assert [await shelf.find_path(name) for name in names] == [path.resolve() for path in paths]
 
-    with_shelf(replace(plan, opened=paths), use)
+    with_shelf(replace(plan, opened_recordings=paths), use)
 
 
 def test_a_thousand_files_do_not_hold_the_service_up(plan: ServicePlan) -> None:
     for i in range(1000):
-        os.link(plan.data / "outside.lvm", plan.recordings_folder / f"{i}.lvm")
+        os.link(plan.data_folder / "outside.lvm", plan.recordings_folder / f"{i}.lvm")
 
-    async def use(shelf: Shelf) -> None:
-        listing, turns = asyncio.create_task(shelf.listing()), 0
+    async def use(shelf: RecordingCatalog) -> None:
+        listing, turns = asyncio.create_task(shelf.list_recordings()), 0
         while not listing.done():
             await asyncio.sleep(0.0)
             turns += 1
         assert len(listing.result().recordings) == 1001
         assert turns > 3
-        await shelf.path("999.lvm")
+        await shelf.find_path("999.lvm")
 
     with_shelf(plan, use)
 
@@ -144,34 +144,34 @@ def test_a_thousand_files_do_not_hold_the_service_up(plan: ServicePlan) -> None:
 def test_a_film_is_made_once_for_all_its_viewers_and_kept_for_a_while(
     plan: ServicePlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(films, "FILMS_KEPT", 1)
-    path, other = plan.recordings_folder / "sound.lvm.gz", plan.data / "outside.lvm"
+    monkeypatch.setattr(films, "MAX_CACHES", 1)
+    path, other = plan.recordings_folder / "sound.lvm.gz", plan.data_folder / "outside.lvm"
 
     async def use() -> None:
-        async with contextlib.aclosing(Films(plan)) as kept:
-            with kept.watching(path) as one, kept.watching(path) as two:
+        async with contextlib.aclosing(ReplayCacheStore(plan)) as kept:
+            with kept.open_entry(path) as one, kept.open_entry(path) as two:
                 assert one is two
                 assert kept.viewers == 2
-                film = await one.film
-            with kept.watching(path) as three:
-                assert await three.film is film
-            with kept.watching(other) as another:
-                await another.film
-            with kept.watching(other) as again, kept.watching(path) as four:
+                film = await one.build_task
+            with kept.open_entry(path) as three:
+                assert await three.build_task is film
+            with kept.open_entry(other) as another:
+                await another.build_task
+            with kept.open_entry(other) as again, kept.open_entry(path) as four:
                 assert again is another
-                assert not four.film.done()  # it had to give way
+                assert not four.build_task.done()  # it had to give way
             os.utime(other, ns=(0, 0))
-            with kept.watching(other) as changed:
+            with kept.open_entry(other) as changed:
                 assert changed is not another
         assert kept.viewers == 0
 
     asyncio.run(use())
-    assert not list(plan.data.glob(".film-*"))
+    assert not list(plan.data_folder.glob(".film-*"))
 
 
 def test_a_film_of_what_is_gone_is_refused(plan: ServicePlan) -> None:
     async def use() -> None:
-        with Films(plan).watching(plan.recordings_folder / "gone.lvm"):
+        with ReplayCacheStore(plan).open_entry(plan.recordings_folder / "gone.lvm"):
             pass
 
     with pytest.raises(RecordingError, match=r"^gone\.lvm: cannot be read \(No such file"):
@@ -179,52 +179,52 @@ def test_a_film_of_what_is_gone_is_refused(plan: ServicePlan) -> None:
 
 
 def test_what_a_killed_service_left_behind_is_removed(plan: ServicePlan) -> None:
-    left, fresh = plan.data / ".film-old", plan.data / ".film-new"
+    left, fresh = plan.data_folder / ".film-old", plan.data_folder / ".film-new"
     left.mkdir()
     fresh.mkdir()
     os.utime(left, (0, 0))
-    Films(plan)
+    ReplayCacheStore(plan)
     assert (left.exists(), fresh.exists()) == (False, True)
 
 
 # --- processes --------------------------------------------------------------------------------------------------------
 
 
-def say_who(tell: Tell, count: int) -> None:
+def say_who(tell: SendMessage, count: int) -> None:
     for _ in range(count):
         tell(os.getpid())
 
 
-def say_how_nice(tell: Tell) -> None:
+def say_how_nice(tell: SendMessage) -> None:
     tell(os.getpriority(os.PRIO_PROCESS, 0))
 
 
-def fail(tell: Tell) -> None:
+def fail(tell: SendMessage) -> None:
     tell(1)
     raise RecordingError("line 7 is at fault")
 
 
-def fill_the_disk(tell: Tell) -> None:
+def fill_the_disk(tell: SendMessage) -> None:
     raise OSError(28, "No space left on device", "columns.npy")
 
 
-def be_killed(tell: Tell) -> None:
+def be_killed(tell: SendMessage) -> None:
     tell(1)
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def sleep(tell: Tell) -> None:
+def sleep(tell: SendMessage) -> None:
     tell(os.getpid())
     time.sleep(60)
 
 
 def test_work_aside_is_done_in_another_process_that_gives_way_and_then_ends() -> None:
     said: list[int] = []
-    asyncio.run(run_aside("aside", say_who, 3, told=said.append, advice="Try again."))
+    asyncio.run(run_in_background_process("aside", say_who, 3, on_message=said.append, advice="Try again."))
     assert len(said) == 3
     assert len({*said, os.getpid()}) == 2
     assert not os.path.exists(f"/proc/{said[0]}")
-    asyncio.run(run_aside("aside", say_how_nice, told=said.append, advice="Try again."))
+    asyncio.run(run_in_background_process("aside", say_how_nice, on_message=said.append, advice="Try again."))
     assert said[-1] == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
 
 
@@ -237,16 +237,18 @@ def test_work_aside_is_done_in_another_process_that_gives_way_and_then_ends() ->
     ],
 )
 def test_what_goes_wrong_aside_is_one_clear_error(
-    work: Callable[[Tell], None], error: type[Exception], text: str
+    work: Callable[[SendMessage], None], error: type[Exception], text: str
 ) -> None:
     with pytest.raises(error, match=text):
-        asyncio.run(run_aside("aside", work, told=lambda _: None, advice="Try again."))
+        asyncio.run(run_in_background_process("aside", work, on_message=lambda _: None, advice="Try again."))
 
 
 def test_work_that_nobody_waits_for_any_more_is_ended() -> None:
     async def give_up() -> int:
         said: asyncio.Queue[int] = asyncio.Queue()
-        task = asyncio.create_task(run_aside("aside", sleep, told=said.put_nowait, advice="Try again."))
+        task = asyncio.create_task(
+            run_in_background_process("aside", sleep, on_message=said.put_nowait, advice="Try again.")
+        )
         pid = await said.get()
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)

@@ -11,7 +11,7 @@ from simulation import joined, simulate_raw, write_lvm
 from typer.testing import CliRunner
 
 from app.cli import app
-from app.report.page import KIND
+from app.report.page import PAGE_KIND
 from config.errors import ConfigurationError, GraspwatchError, RecordingError
 
 PROGRAM = Path(sys.executable).with_name("graspwatch")
@@ -50,7 +50,7 @@ def test_it_writes_a_page_and_a_json_and_prints_the_same_json(folder):
     assert [one["held"] for one in document["recordings"]] == ["liver", "bladder"]
     assert [len(one["grasps"]) for one in document["recordings"]] == [3, 3]
     assert {table["title"].split(":")[0] for table in document["tables"]} >= {"Table VI", "Table VII"}
-    assert f'content="{KIND}"' in (folder / "two.html").read_text()
+    assert f'content="{PAGE_KIND}"' in (folder / "two.html").read_text()
 
 
 def test_an_earlier_report_is_replaced_and_its_verdicts_are_shown(folder):

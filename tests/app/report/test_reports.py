@@ -8,7 +8,7 @@ from simulation import joined, simulate_raw, write_lvm
 
 from app.plan import ServicePlan
 from app.report import reports
-from app.report.reports import Reports
+from app.report.reports import ReportCache
 from config.errors import RecordingError, RefusedError
 
 
@@ -25,7 +25,7 @@ def path(tmp_path):
 async def finished(shelf, path):
     """The page, and the shares that were told before."""
     shares = []
-    while isinstance(answer := await shelf.ask(path), float):
+    while isinstance(answer := await shelf.request_report(path), float):
         shares.append(answer)
         await asyncio.sleep(0.02)
     return answer, shares
@@ -33,14 +33,14 @@ async def finished(shelf, path):
 
 def test_it_is_made_once_and_again_for_a_file_that_has_changed(plan, path):
     async def scenario():
-        shelf = Reports(plan)
+        shelf = ReportCache(plan)
         page, shares = await finished(shelf, path)
         assert shares == sorted(shares)
         assert "Report: liver.lvm" in page.read_text()
         assert page.parent == plan.reports_folder
-        assert await Reports(plan).ask(path) == page  # another service finds it
+        assert await ReportCache(plan).request_report(path) == page  # another service finds it
         os.utime(path, ns=(1, 1))
-        assert await shelf.ask(path) == 0.0
+        assert await shelf.request_report(path) == 0.0
         await shelf.aclose()
 
     asyncio.run(scenario())
@@ -50,38 +50,38 @@ def test_a_failure_is_told_once_and_then_it_is_tried_again(plan, tmp_path):
     (tmp_path / "broken.lvm").write_text("LabVIEW Measurement\n")
 
     async def scenario():
-        shelf = Reports(plan)
+        shelf = ReportCache(plan)
         with pytest.raises(RecordingError, match=r"^broken\.lvm"):
             await finished(shelf, tmp_path / "broken.lvm")
-        assert await shelf.ask(tmp_path / "broken.lvm") == 0.0
+        assert await shelf.request_report(tmp_path / "broken.lvm") == 0.0
         await shelf.aclose()
         with pytest.raises(RecordingError, match="cannot be read"):
-            await shelf.ask(tmp_path / "none.lvm")
+            await shelf.request_report(tmp_path / "none.lvm")
 
     asyncio.run(scenario())
 
 
 def test_not_more_wait_than_are_allowed(plan, path, tmp_path, monkeypatch):
-    monkeypatch.setattr(reports, "MOST_ASKED", 1)
+    monkeypatch.setattr(reports, "MAX_PENDING_REPORTS", 1)
     other = tmp_path / "other.lvm"
     other.write_bytes(path.read_bytes())
 
     async def scenario():
-        shelf = Reports(plan)
-        await shelf.ask(path)
-        await shelf.ask(path)  # the same is no other
+        shelf = ReportCache(plan)
+        await shelf.request_report(path)
+        await shelf.request_report(path)  # the same is no other
         with pytest.raises(RefusedError, match="Ask again"):
-            await shelf.ask(other)
+            await shelf.request_report(other)
         await shelf.aclose()
 
     asyncio.run(scenario())
 
 
 def test_only_the_pages_read_last_are_kept(plan, path, monkeypatch):
-    monkeypatch.setattr(reports, "KEPT", 2)
+    monkeypatch.setattr(reports, "MAX_PAGES", 2)
     plan.reports_folder.mkdir()
     for age_s, name in enumerate(("new", "older", "oldest")):
         (plan.reports_folder / f"{name}.html").write_text("")
         os.utime(plan.reports_folder / f"{name}.html", (1e9 - age_s, 1e9 - age_s))
-    page, _ = asyncio.run(finished(Reports(plan), path))
+    page, _ = asyncio.run(finished(ReportCache(plan), path))
     assert {*plan.reports_folder.iterdir()} == {page, plan.reports_folder / "new.html"}

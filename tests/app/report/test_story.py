@@ -8,10 +8,10 @@ from reports import simulated_story
 from simulation import joined, simulate_raw, write_lvm
 
 from app.headless import replay_recording
-from app.record.run_file import Rig
+from app.record.run_file import RecordingContext
 from app.report.report import Report, read_report
-from app.report.story import open_recording, story_of
-from app.report.stress import curve_of
+from app.report.story import analyze_recording, open_recorded_run
+from app.report.stress import build_curve
 from config.errors import RecordingError
 from estimator.alarms import Priority
 
@@ -19,9 +19,9 @@ from estimator.alarms import Priority
 def test_a_recording_s_story_has_the_grasps_of_its_replay(tmp_path, recording_tool, library, settings):
     path = write_lvm(tmp_path / "gallbladder.lvm", joined(simulate_raw("gallbladder", cycles=2)))
     shares = []
-    story = story_of(open_recording(path, recording_tool), "a title", library, settings, shares.append)
+    story = analyze_recording(open_recorded_run(path, recording_tool), "a title", library, settings, shares.append)
     replayed = replay_recording(
-        open_recording(path, recording_tool), Rig(recording_tool, library, settings), lambda _: None
+        open_recorded_run(path, recording_tool), RecordingContext(recording_tool, library, settings), lambda _: None
     )
     assert [*story.grasps] == replayed.grasps
     assert (story.title, len(story.traces), story.tissue) == ("a title", replayed.samples, None)
@@ -33,7 +33,7 @@ def test_each_grasp_has_its_samples_and_its_force_errors():
     story = simulated_story("gallbladder")
     assert [grasp.index for grasp in story.grasps] == [1, 2, 3]
     for grasp in story.grasps:
-        rows = story.during(grasp)
+        rows = story.grasp_traces(grasp)
         assert rows["tick"][0] == round(grasp.start_s * story.rate_hz)
         assert len(rows) == pytest.approx((grasp.end_s - grasp.start_s) * story.rate_hz, abs=1)
         assert rows["jaw_force_filtered_n"].max() == pytest.approx(grasp.peak_force_n, rel=1e-5)
@@ -50,7 +50,7 @@ def test_the_thickness_measured_at_contact_is_kept():
 def test_too_strong_grasps_have_their_highest_warning_each():
     story = simulated_story("gallbladder", cycles=2, protocol="strong_2hz")
     for grasp in story.grasps:
-        alarms = story.alarms_of(grasp)
+        alarms = story.grasp_alarms(grasp)
         assert alarms
         assert all(grasp.start_s <= alarm.tick / story.rate_hz <= grasp.end_s for alarm in alarms)
         assert Priority.HIGH in [alarm.priority for alarm in alarms]
@@ -59,7 +59,7 @@ def test_too_strong_grasps_have_their_highest_warning_each():
 def test_the_measured_curve_lies_near_the_estimated_one():
     story = simulated_story("liver")
     for grasp in story.grasps:
-        curve = curve_of(story, grasp)
+        curve = build_curve(story, grasp)
         assert len(curve.strain) == len(curve.measured_kpa) == len(curve.estimated_kpa)
         assert np.nanmedian(np.abs(curve.measured_kpa - curve.estimated_kpa)) < 0.05 * curve.measured_kpa.max()
 

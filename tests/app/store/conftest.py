@@ -6,7 +6,7 @@ import postgresql
 import pytest
 from sqlalchemy import URL
 
-from app.store.database import index_url
+from app.store.database import resolve_index_url
 from app.store.store import Store
 
 NUMBERS = itertools.count()
@@ -26,7 +26,7 @@ def new_url(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], URL]
     def make() -> URL:
         name = f"index_{next(NUMBERS)}"
         setting = postgresql.make_database(address, name) if address else f"sqlite:///{tmp_path}/{name}.sqlite"
-        return index_url(setting, tmp_path)
+        return resolve_index_url(setting, tmp_path)
 
     return make
 

@@ -16,21 +16,21 @@ from recorded import READERS, write_recording
 from sqlalchemy import URL, text
 
 from app.store import claim, database
-from app.store.database import REVISION_TABLE, engine_of, index_url, newest_revision, revision_of
-from app.store.opening import open_for_service
-from app.store.questions import AuditQuestion, FileQuestion, GraspQuestion
-from app.store.rebuild import BEHIND_MARKER
+from app.store.database import REVISION_TABLE, make_engine, newest_revision, read_revision, resolve_index_url
+from app.store.opening import open_store_for_service
+from app.store.questions import AuditQuery, FileQuery, GraspQuery
+from app.store.rebuild import BEHIND_MARKER_FILE
 from app.store.store import Store
-from app.store.tables import Table
+from app.store.tables import IndexTable
 from config.errors import ConfigurationError, GraspwatchError, ServiceError
 
 
 def test_the_migrations_make_exactly_the_tables_of_the_code(url: URL, store: Store) -> None:
-    engine = engine_of(url)
+    engine = make_engine(url)
     with engine.connect() as connection:
         options = {"compare_type": True, "compare_server_default": True, "version_table": REVISION_TABLE}
         context = MigrationContext.configure(connection, opts=options)
-        assert compare_metadata(context, Table.metadata) == []
+        assert compare_metadata(context, IndexTable.metadata) == []
     engine.dispose()
 
 
@@ -39,8 +39,8 @@ def make_first_index(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         upgrade = database.command.upgrade
         patch.setattr(database.command, "upgrade", lambda configuration, _: upgrade(configuration, "0001"))
-        engine = engine_of(url)
-        database.bring_up_to_date(engine)
+        engine = make_engine(url)
+        database.migrate(engine)
     with engine.begin() as connection:
         run_json = run(state="finished").model_dump_json()
         grasps = [grasp(index=1), grasp(index=2, held_back=True)]
@@ -73,17 +73,17 @@ def make_first_index(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_older_index_is_migrated_with_all_that_is_in_it(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
     make_first_index(url, monkeypatch)
     store = Store(url)
-    engine = engine_of(url)
+    engine = make_engine(url)
     with engine.connect() as connection:
-        assert revision_of(connection) == newest_revision()
+        assert read_revision(connection) == newest_revision()
         rows = connection.execute(text('SELECT held_back FROM grasps ORDER BY "index"')).scalars().all()
         assert [bool(row) for row in rows] == [False, True]
         context = MigrationContext.configure(connection, opts={"version_table": REVISION_TABLE})
-        assert compare_metadata(context, Table.metadata) == []
+        assert compare_metadata(context, IndexTable.metadata) == []
     engine.dispose()
-    assert store.run("run-001") == run(state="finished", grasps=2)
-    assert store.grasps(GraspQuestion()).total == 2
-    assert store.files(FileQuestion(deleted=False)).items == [record()]
+    assert store.get_run("run-001") == run(state="finished", grasps=2)
+    assert store.find_grasps(GraspQuery()).total == 2
+    assert store.find_files(FileQuery(deleted=False)).items == [record()]
     store.close()
 
 
@@ -99,9 +99,9 @@ def test_a_migration_that_fails_leaves_the_older_index_as_it_was(url: URL, monke
         patch.setattr(database.command, "upgrade", fail)
         with pytest.raises(ServiceError, match="power"):
             Store(url)
-    engine = engine_of(url)
+    engine = make_engine(url)
     with engine.connect() as connection:
-        assert revision_of(connection) == "0001"
+        assert read_revision(connection) == "0001"
         assert connection.scalar(text("SELECT count(*) FROM grasps")) == 2
     engine.dispose()
     Store(url).close()
@@ -109,7 +109,7 @@ def test_a_migration_that_fails_leaves_the_older_index_as_it_was(url: URL, monke
 
 def test_an_index_of_a_newer_program_is_refused_and_left_alone(url: URL) -> None:
     Store(url).close()
-    engine = engine_of(url)
+    engine = make_engine(url)
     with engine.begin() as connection:
         connection.execute(text(f"UPDATE {REVISION_TABLE} SET version_num = '9999'"))
     engine.dispose()
@@ -128,14 +128,14 @@ def test_a_damaged_file_is_refused_and_left_alone(tmp_path: Path, content: bytes
     path = tmp_path / "index.sqlite"
     path.write_bytes(content)
     with pytest.raises(ServiceError, match=f"({says}).*graspwatch index --rebuild"):
-        Store(index_url(None, tmp_path))
+        Store(resolve_index_url(None, tmp_path))
     assert path.read_bytes() == content
 
 
 def test_a_page_that_was_overwritten_is_noticed(tmp_path: Path) -> None:
-    url = index_url(None, tmp_path)
+    url = resolve_index_url(None, tmp_path)
     store = Store(url)
-    store.take_all((line(number, "x" * 500), None) for number in range(200))
+    store.ingest_all((line(number, "x" * 500), None) for number in range(200))
     store.close()
     path = tmp_path / "index.sqlite"
     content = bytearray(path.read_bytes())
@@ -152,7 +152,7 @@ def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
     connection.close()
     before = (tmp_path / "index.sqlite").read_bytes()
     with pytest.raises(ServiceError, match=r"of something else .*'patients'.*graspwatch index --rebuild"):
-        Store(index_url(None, tmp_path))
+        Store(resolve_index_url(None, tmp_path))
     assert (tmp_path / "index.sqlite").read_bytes() == before
 
 
@@ -168,7 +168,7 @@ def test_a_database_of_something_else_is_refused(tmp_path: Path) -> None:
 )
 def test_a_wrong_address_is_refused_without_its_password(tmp_path: Path, setting: str, says: str) -> None:
     with pytest.raises(ConfigurationError, match=says) as refused:
-        index_url(setting, tmp_path)
+        resolve_index_url(setting, tmp_path)
     assert "secret" not in str(refused.value)
 
 
@@ -185,7 +185,7 @@ def test_a_wrong_address_is_refused_without_its_password(tmp_path: Path, setting
 def test_a_server_that_does_not_let_us_in_is_one_clear_message(
     server: str, tmp_path: Path, change: dict[str, object], says: str
 ) -> None:
-    url = index_url(server.format("postgres"), tmp_path).set(**change)
+    url = resolve_index_url(server.format("postgres"), tmp_path).set(**change)
     with pytest.raises(ServiceError, match=says) as refused:
         Store(url)
     assert "secret" not in str(refused.value)
@@ -194,7 +194,7 @@ def test_a_server_that_does_not_let_us_in_is_one_clear_message(
 def test_a_missing_driver_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "psycopg", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'graspwatch\[postgresql\]'"):
-        Store(index_url("postgresql://ada@db/x", tmp_path))
+        Store(resolve_index_url("postgresql://ada@db/x", tmp_path))
 
 
 def refusal_for_nobody(folder: Path, answers: multiprocessing.SimpleQueue) -> None:
@@ -203,7 +203,7 @@ def refusal_for_nobody(folder: Path, answers: multiprocessing.SimpleQueue) -> No
         os.setgid(65534)
         os.setuid(65534)
     try:
-        Store(index_url(None, folder))
+        Store(resolve_index_url(None, folder))
         answers.put("it was opened")
     except ServiceError as error:
         answers.put(str(error))
@@ -216,7 +216,7 @@ def refusal_for_nobody(folder: Path, answers: multiprocessing.SimpleQueue) -> No
 def test_what_is_read_only_is_one_clear_message(folder_mode: int, file_mode: int, says: str) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        Store(index_url(None, folder)).close()
+        Store(resolve_index_url(None, folder)).close()
         (folder / "index.sqlite").chmod(file_mode)
         (folder / "index.sqlite.lock").chmod(0o666 if folder_mode == 0o777 else 0o444)
         folder.chmod(folder_mode)
@@ -231,19 +231,22 @@ def test_what_is_read_only_is_one_clear_message(folder_mode: int, file_mode: int
 
 def test_a_folder_that_is_gone_is_one_clear_message(tmp_path: Path) -> None:
     with pytest.raises(ServiceError, match=r"cannot be written \(No such file"):
-        Store(index_url(None, tmp_path / "gone"))
+        Store(resolve_index_url(None, tmp_path / "gone"))
 
 
 def test_lines_that_the_index_missed_are_taken_at_the_next_start(url: URL, tmp_path: Path) -> None:
     store = Store(url)
     first, second = line(1, "Run started", kind="run", run=run()), line(2, "An alarm", kind="alarm", alarm=alarm())
-    store.take(first)
+    store.ingest(first)
     store.close()
-    torn = second.line()[:40]
-    (tmp_path / "journal.jsonl").write_text(f"{first.line()}\n{second.line()}\n{torn}")
-    store = open_for_service(url, tmp_path)
-    assert [each.text for each in store.audit(AuditQuestion(order="oldest")).items] == ["Run started", "An alarm"]
-    assert store.first
+    torn = second.to_line()[:40]
+    (tmp_path / "journal.jsonl").write_text(f"{first.to_line()}\n{second.to_line()}\n{torn}")
+    store = open_store_for_service(url, tmp_path)
+    assert [each.text for each in store.find_audit_entries(AuditQuery(order="oldest")).items] == [
+        "Run started",
+        "An alarm",
+    ]
+    assert store.is_first_user
     store.close()
 
 
@@ -253,21 +256,21 @@ def test_the_recording_of_a_killed_service_is_taken_at_the_next_start(
 ) -> None:
     for number in range(recordings):
         write_recording(tmp_path, record(number), [run(number), grasp(number)])
-    store = open_for_service(url, tmp_path, READERS)
-    assert store.grasps(GraspQuestion()).total == (0 if behind else recordings)
-    assert (tmp_path / BEHIND_MARKER).exists() is behind
+    store = open_store_for_service(url, tmp_path, READERS)
+    assert store.find_grasps(GraspQuery()).total == (0 if behind else recordings)
+    assert (tmp_path / BEHIND_MARKER_FILE).exists() is behind
     store.close()
 
 
 def test_only_one_that_comes_alone_may_say_what_is_under_way(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(claim, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(claim, "LOCK_TIMEOUT_S", 0.1)
     one, two = Store(url), Store(url)
-    assert (one.first, two.first) == (True, False)
+    assert (one.is_first_user, two.is_first_user) == (True, False)
     with pytest.raises(ServiceError, match="A service uses the index"):
-        Store(url, alone=True)
+        Store(url, exclusive=True)
     one.close()
     two.close()
-    alone = Store(url, alone=True)
+    alone = Store(url, exclusive=True)
     with pytest.raises(ServiceError, match="is being rebuilt"):
         Store(url)
     alone.close()
@@ -280,7 +283,7 @@ def test_the_claim_of_a_killed_process_is_gone(tmp_path: Path) -> None:
         "os.kill(os.getpid(), 9)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
-    store = Store(index_url(None, tmp_path), alone=True)
+    store = Store(resolve_index_url(None, tmp_path), exclusive=True)
     store.close()
 
 

@@ -14,12 +14,12 @@ from recorded import READERS, write_recording
 from sqlalchemy import URL
 
 from app.store import rebuild as rebuilding
-from app.store.database import index_url
-from app.store.questions import AuditQuestion
+from app.store.database import resolve_index_url
+from app.store.questions import AuditQuery
 from app.store.rebuild import rebuild
-from app.store.status import status
+from app.store.status import read_status
 from app.store.store import Store
-from app.store.taking import Indexed
+from app.store.taking import IndexedMessage
 from app.wire import JournalEntry
 from config.errors import ServiceError
 
@@ -33,14 +33,14 @@ def live(store: Store, data: Path, seed: int, runs: int) -> None:
     chance = random.Random(seed)
     journal: list[JournalEntry] = []
 
-    def tell(message: Indexed, recording: list[Indexed]) -> None:
-        store.take(message)
+    def tell(message: IndexedMessage, recording: list[IndexedMessage]) -> None:
+        store.ingest(message)
         recording.append(message)
         if isinstance(message, JournalEntry):
             journal.append(message)
 
     for number in range(1, runs + 1):
-        messages: list[Indexed] = []
+        messages: list[IndexedMessage] = []
         tell(run(number), messages)
         tell(line(60.0 * number, "Run started", kind="run", run=run(number)), messages)
         grasps = chance.randrange(4)
@@ -52,12 +52,12 @@ def live(store: Store, data: Path, seed: int, runs: int) -> None:
             tell(line(60.0 * number + 30, "Run over", kind="run", run=over), messages)
             tell(over, messages)
         write_recording(data, record(number), messages)
-        store.take(record(number))
+        store.ingest(record(number))
         tell(line(60.0 * number + 40, "Idle", alarm=alarm(9, id=f"force-{number}", active=False)), [])
     gone = record(runs, deleted_at=BEGIN.isoformat(), deleted_by="Ada")
     tell(line(60.0 * number + 50, "Recording deleted", kind="deleted", by="Ada", file=gone), [])
     (data / "recordings" / gone.name).unlink()
-    (data / "journal.jsonl").write_text("".join(f"{entry.line()}\n" for entry in journal))
+    (data / "journal.jsonl").write_text("".join(f"{entry.to_line()}\n" for entry in journal))
 
 
 @settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -71,7 +71,7 @@ def test_the_index_from_the_files_equals_the_live_one(
     rebuilt = rebuild(other, data, READERS, nothing)
     assert (rebuilt.recordings, rebuilt.broken_lines, rebuilt.problems) == (runs - 1, 0, [])
     two = Store(other)
-    kept, anew = one.content(), two.content()
+    kept, anew = one.dump(), two.dump()
     kept["grasps"] = [row for row in kept["grasps"] if row["run_id"] != f"run-{runs:03d}"]
     assert anew == kept
     for store in (one, two):
@@ -84,9 +84,9 @@ def test_what_cannot_be_read_is_told_and_the_rest_is_taken(url: URL, tmp_path: P
     torn.write_text(torn.read_text() + '["Graspe')
     (good.parent / "run-003.rec").write_text("rubbish\n")
     (good.parent / "notes.txt").write_text("no recording\n")
-    (tmp_path / "journal.jsonl").write_text(f"{line(3).line()}\n\nrubbish\n{line(4).line()[:50]}")
-    (tmp_path / "journal.jsonl.1").write_text(f"{line(2).line()}\n")
-    (tmp_path / "journal.jsonl.2.gz").write_bytes(gzip.compress(f"{line(1).line()}\n".encode()))
+    (tmp_path / "journal.jsonl").write_text(f"{line(3).to_line()}\n\nrubbish\n{line(4).to_line()[:50]}")
+    (tmp_path / "journal.jsonl.1").write_text(f"{line(2).to_line()}\n")
+    (tmp_path / "journal.jsonl.2.gz").write_bytes(gzip.compress(f"{line(1).to_line()}\n".encode()))
     shares: list[float] = []
     rebuilt = rebuild(url, tmp_path, READERS, shares.append)
     assert (rebuilt.recordings, rebuilt.lines, rebuilt.broken_lines) == (3, 5, 2)
@@ -95,18 +95,18 @@ def test_what_cannot_be_read_is_told_and_the_rest_is_taken(url: URL, tmp_path: P
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     store = Store(url)
-    assert store.audit(AuditQuestion()).total == 3
-    assert [store.run(f"run-00{number}") is not None for number in (1, 2, 3)] == [True, True, False]
-    assert store.file("run-002.rec") == record(2)
+    assert store.find_audit_entries(AuditQuery()).total == 3
+    assert [store.get_run(f"run-00{number}") is not None for number in (1, 2, 3)] == [True, True, False]
+    assert store.get_file("run-002.rec") == record(2)
     store.close()
 
 
 def test_a_rebuild_is_refused_while_a_service_runs(url: URL, tmp_path: Path) -> None:
     store = Store(url)
-    store.take(run())
+    store.ingest(run())
     with pytest.raises(ServiceError, match="Stop the service, then rebuild it"):
         rebuild(url, tmp_path, READERS, nothing)
-    assert store.run("run-001") == run()
+    assert store.get_run("run-001") == run()
     store.close()
 
 
@@ -115,31 +115,31 @@ def test_a_rebuild_that_fails_leaves_the_old_index_as_it_was(
     url: URL, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
     store = Store(url)
-    store.take(run(9))
+    store.ingest(run(9))
     store.close()
     write_recording(tmp_path, record(1), [run(1)])
 
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device", "index") if fault == "disk" else RuntimeError("a bug")
 
-    monkeypatch.setattr(rebuilding, "recordings_in", fail)
+    monkeypatch.setattr(rebuilding, "find_recordings", fail)
     with pytest.raises(ServiceError if fault == "disk" else RuntimeError, match=r"No space left|a bug"):
         rebuild(url, tmp_path, READERS, nothing)
     store = Store(url)
-    assert store.run("run-009") == run(9)
+    assert store.get_run("run-009") == run(9)
     store.close()
     assert not list(tmp_path.glob("*.new*"))
 
 
 @pytest.mark.parametrize("old", ["sound", "damaged", "newer"])
 def test_the_old_file_is_set_aside_whatever_it_is(tmp_path: Path, old: str) -> None:
-    url, place = index_url(None, tmp_path), tmp_path / "index.sqlite"
+    url, place = resolve_index_url(None, tmp_path), tmp_path / "index.sqlite"
     write_recording(tmp_path, record(1), [run(1)])
     if old == "damaged":
         place.write_bytes(b"rubbish" * 1000)
     else:
         store = Store(url)
-        store.take(run(9))
+        store.ingest(run(9))
         store.close()
     if old == "newer":
         with sqlite3.connect(place) as connection:
@@ -147,29 +147,29 @@ def test_the_old_file_is_set_aside_whatever_it_is(tmp_path: Path, old: str) -> N
         connection.close()
     before = place.read_bytes()
     rebuilt = rebuild(url, tmp_path, READERS, nothing)
-    assert rebuilt.set_aside is not None
-    assert rebuilt.set_aside.name.startswith("index.sqlite.2")
-    assert rebuilt.set_aside.name.endswith(".bad")
-    assert rebuilt.set_aside.read_bytes() == before
+    assert rebuilt.backup_path is not None
+    assert rebuilt.backup_path.name.startswith("index.sqlite.2")
+    assert rebuilt.backup_path.name.endswith(".bad")
+    assert rebuilt.backup_path.read_bytes() == before
     store = Store(url)
-    assert (store.run("run-001"), store.run("run-009")) == (run(1), None)
+    assert (store.get_run("run-001"), store.get_run("run-009")) == (run(1), None)
     store.close()
 
 
 def test_the_status_says_what_the_index_lacks_and_changes_nothing(url: URL, tmp_path: Path) -> None:
-    assert status(url, tmp_path, READERS).behind
+    assert read_status(url, tmp_path, READERS).behind
     assert not (tmp_path / "index.sqlite").exists()
     write_recording(tmp_path, record(1), [run(1)])
-    (tmp_path / "journal.jsonl").write_text(f"{line(1).line()}\n")
+    (tmp_path / "journal.jsonl").write_text(f"{line(1).to_line()}\n")
     rebuild(url, tmp_path, READERS, nothing)
-    found = status(url, tmp_path, READERS)
+    found = read_status(url, tmp_path, READERS)
     assert (found.behind, found.revision) == ([], found.newest_revision)
     assert found.counts == {"runs": 1, "grasps": 0, "alarms": 0, "audit": 1, "files": 1}
     assert "secret" not in found.where
     write_recording(tmp_path, record(2), [run(2)])
     with (tmp_path / "journal.jsonl").open("a") as file:
-        file.write(f"{line(2).line()}\n")
-    assert status(url, tmp_path, READERS).behind == [
+        file.write(f"{line(2).to_line()}\n")
+    assert read_status(url, tmp_path, READERS).behind == [
         "1 of the recordings, such as run-002.rec",
         "the journal's last line",
     ]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.learning.between import Recorded, between_covariance, session_scale
+from estimator.learning.between import RecordingCenters, between_covariance, estimate_session_scale
 from estimator.learning.constants import BETWEEN_SD, SESSION_SCALE
 
 SLOW, FAST = np.log(2.0), np.log(32.0)
@@ -13,7 +13,7 @@ F = len(BETWEEN_SD)
 def recorded(*rows):
     """Rows of (tissue, ramp_log, level): centres with that level in every feature, in units of BETWEEN_SD."""
     tissue, ramp, level = zip(*rows, strict=True)
-    return Recorded(np.array(tissue), np.array(ramp), np.outer(level, BETWEEN_SD), SESSION_SCALE)
+    return RecordingCenters(np.array(tissue), np.array(ramp), np.outer(level, BETWEEN_SD), SESSION_SCALE)
 
 
 def test_what_all_differences_share_is_a_covariance():
@@ -22,27 +22,27 @@ def test_what_all_differences_share_is_a_covariance():
 
 
 def test_at_a_known_ramp_it_is_the_recording_give_or_take_two_sessions():
-    centre, variance = recorded((0, SLOW, 0.0), (1, SLOW, 5.0)).predict(1, SLOW)
+    centre, variance = recorded((0, SLOW, 0.0), (1, SLOW, 5.0)).predict_center(1, SLOW)
     assert centre / BETWEEN_SD == pytest.approx(np.full(F, 5.0), abs=0.05)
     assert variance == pytest.approx(2 * SESSION_SCALE**2, rel=0.2)
 
 
 def test_another_ramp_is_less_certain():
     known = recorded((0, SLOW, 0.0), (1, SLOW, 5.0))
-    assert known.predict(1, FAST)[1] > 10 * known.predict(1, SLOW)[1]
+    assert known.predict_center(1, FAST)[1] > 10 * known.predict_center(1, SLOW)[1]
 
 
 def test_what_a_ramp_changes_is_learned_from_the_other_tissues():
     both = recorded((0, SLOW, 0.0), (0, FAST, 3.0), (1, SLOW, 5.0), (1, FAST, 8.0), (2, SLOW, -4.0))
     alone = recorded((0, SLOW, 0.0), (1, SLOW, 5.0), (2, SLOW, -4.0))
-    centre, variance = both.predict(2, FAST)
+    centre, variance = both.predict_center(2, FAST)
     assert centre / BETWEEN_SD == pytest.approx(np.full(F, -1.0), abs=0.3)
-    assert variance < alone.predict(2, FAST)[1] / 4
+    assert variance < alone.predict_center(2, FAST)[1] / 4
 
 
 def test_recordings_that_repeat_each_other_narrow_the_sessions_and_others_widen_them():
     tissue, ramp = np.array([0, 0, 1, 1]), np.full(4, SLOW)
-    narrow = session_scale(tissue, ramp, np.outer([0.0, 0.01, 5.0, 5.01], BETWEEN_SD))
-    wide = session_scale(tissue, ramp, np.outer([0.0, 4.0, 5.0, 9.0], BETWEEN_SD))
+    narrow = estimate_session_scale(tissue, ramp, np.outer([0.0, 0.01, 5.0, 5.01], BETWEEN_SD))
+    wide = estimate_session_scale(tissue, ramp, np.outer([0.0, 4.0, 5.0, 9.0], BETWEEN_SD))
     assert narrow < SESSION_SCALE < wide
-    assert session_scale(np.array([0, 1]), ramp[:2], np.zeros((2, F))) == SESSION_SCALE
+    assert estimate_session_scale(np.array([0, 1]), ramp[:2], np.zeros((2, F))) == SESSION_SCALE

@@ -8,9 +8,9 @@ from learned import learner, pressed
 
 from config.load import load_library, load_settings, load_tool
 from estimator.learning.evidence import LearnedEvidence
-from estimator.learning.fit import base_tissue
-from estimator.learning.grasps import Recorded, RecordedGrasp, curves_of
-from estimator.learning.validation import folds, validate
+from estimator.learning.fit import find_base_tissue
+from estimator.learning.grasps import LabeledRecording, RecordedGrasp, extract_loading_curves
+from estimator.learning.validation import cross_validate, folds
 
 TOOL, BASE, SETTINGS = load_tool("smart_tool_2013"), load_library("porcine"), load_settings()
 LEARN = learner(TOOL, BASE)
@@ -29,7 +29,7 @@ def recording(label, stiffness, seed=0, grasps=9, gap_deg=120.0):
         )
         for i in range(grasps)
     )
-    return Recorded(label, f"{label}{seed}.lvm", f"{seed:02x}" * 32, made)
+    return LabeledRecording(label, f"{label}{seed}.lvm", f"{seed:02x}" * 32, made)
 
 
 RECORDINGS = [recording(label, stiffness, seed) for seed, (label, stiffness) in enumerate(STIFFNESS.items(), 1)]
@@ -37,7 +37,7 @@ RECORDINGS = [recording(label, stiffness, seed) for seed, (label, stiffness) in 
 
 def answers(library, of, first=False):
     evidence = LearnedEvidence(library, TOOL, SETTINGS.identification)
-    return np.array([evidence.begin(None, first=first).take(grasp.samples) for grasp in of.grasps[1:]])
+    return np.array([evidence.start_grasp(None, first=first).process(grasp.samples) for grasp in of.grasps[1:]])
 
 
 def test_grasps_of_another_recording_are_named():
@@ -57,7 +57,7 @@ def test_probabilities_sum_to_one_and_begin_at_the_prior():
     library = LEARN(RECORDINGS)
     assert answers(library, RECORDINGS[0]).sum(axis=1) == pytest.approx(1.0)
     evidence = LearnedEvidence(library, TOOL, SETTINGS.identification)
-    start = evidence.begin(None, first=False).take(RECORDINGS[0].grasps[1].samples[:3])
+    start = evidence.start_grasp(None, first=False).process(RECORDINGS[0].grasps[1].samples[:3])
     assert start == pytest.approx(evidence.prior)
     assert start[-1] == pytest.approx(SETTINGS.identification.prior_unknown)
 
@@ -101,7 +101,7 @@ def test_covariances_of_a_library_are_positive_definite_and_its_spread_is_their_
     ("label", "name"), [("smallbowel", "small_bowel"), ("Small_Bowel", "small_bowel"), ("ureter", None)]
 )
 def test_injury_thresholds_come_from_the_tissue_of_that_name(label, name):
-    assert base_tissue(label, BASE) == name
+    assert find_base_tissue(label, BASE) == name
 
 
 def test_a_tissue_that_the_base_does_not_know_gets_its_lowest_threshold_and_that_is_said():
@@ -118,8 +118,8 @@ def test_validation_asks_every_grasp_of_a_left_out_recording_that_its_tissue_has
     ]
     asked = [fold for fold in folds(four) if fold.question == "another recording"]
     assert len(asked) == 4
-    assert all(fold.asked[0][0] not in fold.learned for fold in asked)
-    found = validate(four, LEARN, TOOL, SETTINGS.identification, lambda _: None)
+    assert all(fold.tests[0][0] not in fold.training for fold in asked)
+    found = cross_validate(four, LEARN, TOOL, SETTINGS.identification, lambda _: None)
     others = [each for each in found if each.question == "another recording"]
     assert len(others) == sum(len(each.grasps) for each in four)
     assert np.mean([each.label == each.truth for each in others if each.grasp > 1]) > 0.9
@@ -129,4 +129,4 @@ def test_slipping_encoders_are_not_learned_from():
     samples = pressed(0.3)
     samples["flags"] |= 64
     slipping = replace(RECORDINGS[0], grasps=(*RECORDINGS[0].grasps, RecordedGrasp(10, samples, PARAMETERS, None)))
-    assert "slips" in curves_of(slipping, TOOL, 2.5).left_out[-1]
+    assert "slips" in extract_loading_curves(slipping, TOOL, 2.5).left_out[-1]

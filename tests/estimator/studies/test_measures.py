@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from config.load import load_library
-from estimator.studies.measures import bayes_limit, calibration_error, confusion, score
+from estimator.studies.measures import bayes_limit, calibration_error, compute_confusion_matrix, score_answers
 
 LIBRARY = load_library("porcine")
 
 
 def test_score_counts_what_it_says():
     p = np.array([[0.96, 0.02, 0.02], [0.97, 0.02, 0.01], [0.2, 0.7, 0.1], [0.5, 0.3, 0.2]])
-    found = score(p, np.array([0, 1, 1, 1]))
+    found = score_answers(p, np.array([0, 1, 1, 1]))
     assert found.accuracy == 0.5
     assert found.confident == 0.5
     assert found.confident_wrong == 0.25
@@ -38,7 +38,7 @@ def test_calibration_error_of_an_honest_forecaster_is_near_zero(seed):
 
 def test_confusion_is_a_share_of_each_truth():
     p = np.eye(3)[[0, 1, 1, 2]]
-    table = confusion(p, np.array([0, 0, 1, 1]), 3)
+    table = compute_confusion_matrix(p, np.array([0, 0, 1, 1]), 3)
     assert table.tolist() == [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5]]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.studies.page import Markup, Table, document, plain, shown, table
+from estimator.studies.page import Markup, Table, format_value, render_page, render_table, to_json_value
 
 
 @pytest.mark.parametrize(
@@ -21,11 +21,13 @@ from estimator.studies.page import Markup, Table, document, plain, shown, table
     ],
 )
 def test_a_value_is_told_with_three_digits_or_those_before_the_point(value, told):
-    assert shown(value) == told
+    assert format_value(value) == told
 
 
 def test_words_are_escaped_and_stand_to_the_left_below_their_heading():
-    told = table(Table("<A & B>", ["what <", "n", "how"], [["<i>", 1.0, None], ["b", 2.0, Markup("<b>bold</b>")]]))
+    told = render_table(
+        Table("<A & B>", ["what <", "n", "how"], [["<i>", 1.0, None], ["b", 2.0, Markup("<b>bold</b>")]])
+    )
     assert "<h2>&lt;A &amp; B&gt;</h2>" in told
     assert '<th scope="row">&lt;i&gt;</th><td>1</td><td>–</td>' in told
     assert '<td class="words"><b>bold</b></td>' in told
@@ -34,14 +36,14 @@ def test_words_are_escaped_and_stand_to_the_left_below_their_heading():
 
 
 def test_a_document_allows_nothing_from_elsewhere_and_says_what_made_it():
-    page = document("A < B", "", kind="Graspwatch test")
+    page = render_page("A < B", "", kind="Graspwatch test")
     assert "default-src &#x27;none&#x27;" in page
     assert '<meta name="generator" content="Graspwatch test">' in page[:300]
     assert "<title>A &lt; B</title>" in page
 
 
 def test_plain_is_what_json_can_tell():
-    assert plain({1: np.float64(2.0), "a": (np.int64(3), float("nan"), [np.bool_(True)])}) == {
+    assert to_json_value({1: np.float64(2.0), "a": (np.int64(3), float("nan"), [np.bool_(True)])}) == {
         "1": 2.0,
         "a": [3, None, [True]],
     }

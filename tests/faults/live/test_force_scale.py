@@ -8,7 +8,7 @@ from boards import HAS_DRIVER, ServedBoard
 from people import bearer, give_tokens
 from service import PROGRAM, Listener, Service, until
 
-from acquisition.recordings.container import Container
+from acquisition.recordings.container import McapFile
 from app.wire import Role
 
 pytestmark = pytest.mark.skipif(HAS_DRIVER, reason="the driver of a real board is installed")
@@ -50,8 +50,8 @@ def test_it_moves_only_for_an_admins_reason_which_stands_in_the_journal(tmp_path
             said = f"Armed: tare and self-test passed, without a measured force scale: {WHY['unmeasured_scale']}"
             assert [text for text in texts if text.startswith("Armed")] == [said]
             path = data / "recordings" / f"{run['id']}.mcap"
-            until(lambda: path.exists() and Container(path).complete)
-            assert Container(path).about["force_scale"] == WORDS
+            until(lambda: path.exists() and McapFile(path).complete)
+            assert McapFile(path).metadata["force_scale"] == WORDS
 
 
 def test_it_can_be_calibrated_with_empty_jaws_and_is_armed_for_nothing_else_by_that(tmp_path):

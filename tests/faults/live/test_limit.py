@@ -10,8 +10,8 @@ import pytest
 from boards import ServedBoard
 from service import Listener, Service, until
 
-from acquisition.limiter import HoldBack
-from acquisition.recordings.container import Container
+from acquisition.limiter import ForceLimiter
+from acquisition.recordings.container import McapFile
 from app.record.reading import read_run
 from config.load import load_library, load_settings, load_tool
 
@@ -75,16 +75,16 @@ def test_the_limit_in_stream_and_file_is_the_limiters_own_also_while_it_rises_an
 def _recomputed(log, recorded):
     """By the first tick of a block: the limit under which it was taken, from a limiter of our own that hears the same
     words; the service's own agrees. And the ticks at which it was told a threshold."""
-    limiter = HoldBack(load_tool("simulated"), LIBRARY, SETTINGS.limiter)
+    limiter = ForceLimiter(load_tool("simulated"), LIBRARY, SETTINGS.limiter)
     samples, enforced, told = recorded.samples, {}, []
     for line in log.read_text().splitlines():
         match json.loads(line):
-            case ["allow", threshold_n, tick]:
-                limiter.allow(threshold_n, tick)
+            case ["threshold", threshold_n, tick]:
+                limiter.set_threshold(threshold_n, tick)
                 told.append(tick)
-            case ["judge", first, commands_v, wanted_v, limit_n]:
+            case ["command", first, commands_v, wanted_v, limit_n]:
                 at = int(np.searchsorted(samples["tick"], first))
-                limiter.judge(samples[at : at + BLOCK], commands_v, wanted_v)
+                limiter.limit_command(samples[at : at + BLOCK], commands_v, wanted_v)
                 assert limiter.limit_n == limit_n
                 enforced[first + BLOCK] = limit_n
     return enforced, told
@@ -93,4 +93,4 @@ def _recomputed(log, recorded):
 def whole(data, run_id):
     """The recording of a run, once it is closed."""
     path = data / "recordings" / f"{run_id}.mcap"
-    return read_run(path) if path.exists() and Container(path).complete else None
+    return read_run(path) if path.exists() and McapFile(path).complete else None

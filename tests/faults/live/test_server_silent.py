@@ -12,7 +12,7 @@ from boards import ServedBoard
 from sabotage import SABOTEUR
 from service import Listener, Service, until
 
-from acquisition.recordings.container import Container
+from acquisition.recordings.container import McapFile
 from app.record.reading import read_run
 
 pytestmark = pytest.mark.alone
@@ -66,7 +66,7 @@ def test_a_server_that_hangs_ends_the_run_at_zero_and_it_is_told_afterwards(
     assert WHY in ended["why"]
     assert any(WHY in line["text"] for line in service.http.get("/api/journal").json())
     path = service.data / "recordings" / f"{run['id']}.mcap"
-    until(lambda: Container(path).complete)
+    until(lambda: McapFile(path).complete)
     recorded = read_run(path)
     assert WHY in recorded.run.why
     assert recorded.samples["motor_command_v"][-1] == 0.0
@@ -116,7 +116,7 @@ def test_a_server_that_is_killed_leaves_the_motor_at_zero_and_the_next_one_says_
         reactions.add("server: kill -9", "hold", took_ms, KILLED_MS)
         assert took_ms <= KILLED_MS
     path = tmp_path / "recordings" / f"{run['id']}.mcap"
-    until(lambda: Container(path).complete)
+    until(lambda: McapFile(path).complete)
     with Service("serve", "--tool", str(board.tool_file), data=tmp_path) as service:
         found = service.http.get(f"/api/runs/{run['id']}").json()
         assert found["state"] == "failed"

@@ -10,7 +10,7 @@ import pytest
 from boards import ServedBoard
 from service import Listener, Service, until
 
-from acquisition.bench.jitter import load
+from acquisition.bench.jitter import cpu_load
 
 pytestmark = pytest.mark.alone
 
@@ -75,7 +75,7 @@ def test_a_run_goes_on_while_another_worker_is_held_up_and_nothing_is_lost(
     service, board, worker, stalled_s, busy, reactions
 ):
     pids, before = pids_of(service), lost_samples(service)
-    with load(busy):
+    with cpu_load(busy):
         run = service.run(**LONG)
         board.wait_for_force()
         with Listener(service) as listener, stopped(pids[worker], stalled_s):
@@ -99,7 +99,7 @@ def test_a_run_goes_on_while_another_worker_is_held_up_and_nothing_is_lost(
 )
 def test_a_run_whose_acquisition_was_held_up_has_failed_with_the_motor_at_zero(service, board, stalled_s, busy):
     pids = pids_of(service)
-    with load(busy):
+    with cpu_load(busy):
         run = service.run(**LONG)
         board.wait_for_force()
         with stopped(pids["acquisition"], stalled_s):

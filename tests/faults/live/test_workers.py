@@ -9,7 +9,7 @@ from boards import ServedBoard
 from sabotage import SABOTEUR, SIGNALS
 from service import Listener, Service, until
 
-from acquisition.recordings.container import Container
+from acquisition.recordings.container import McapFile
 from app.record.reading import read_run
 from config.load import load_library
 
@@ -110,5 +110,5 @@ def test_any_other_worker_that_is_lost_is_told_and_the_grasp_goes_on(service, bo
 def whole_files(service, run_id):
     """What the recordings of a run hold, once all are closed; the first of a recorder that died ends with it."""
     paths = sorted((service.data / "recordings").glob(f"{run_id}*.mcap"))
-    complete = paths and all(Container(path).complete for path in paths)
+    complete = paths and all(McapFile(path).complete for path in paths)
     return [read_run(path) for path in paths] if complete else None

@@ -4,21 +4,21 @@ import json
 import os
 
 if path := os.environ.get("LIMIT_LOG"):
-    from acquisition.limiter import HoldBack
+    from acquisition.limiter import ForceLimiter
 
-    allow, judge = HoldBack.allow, HoldBack.judge
+    set_threshold, limit_command = ForceLimiter.set_threshold, ForceLimiter.limit_command
 
     def write(*entry):
         with open(path, "a", encoding="utf-8") as file:
             file.write(json.dumps(entry) + "\n")
 
-    def logged_allow(self, threshold_n, tick):
-        allow(self, threshold_n, tick)
-        write("allow", threshold_n, tick)
+    def logged_set_threshold(self, threshold_n, tick):
+        set_threshold(self, threshold_n, tick)
+        write("threshold", threshold_n, tick)
 
-    def logged_judge(self, samples, commands_v, wanted_v):
-        result = judge(self, samples, commands_v, wanted_v)
-        write("judge", int(samples["tick"][0]), commands_v, wanted_v, self.limit_n)
+    def logged_limit_command(self, samples, commands_v, wanted_v):
+        result = limit_command(self, samples, commands_v, wanted_v)
+        write("command", int(samples["tick"][0]), commands_v, wanted_v, self.limit_n)
         return result
 
-    HoldBack.allow, HoldBack.judge = logged_allow, logged_judge
+    ForceLimiter.set_threshold, ForceLimiter.limit_command = logged_set_threshold, logged_limit_command
