@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 NPM := frontend/npm.sh
-QUICK := tests/config tests/acquisition tests/estimator tests/app/record tests/app/store tests/app/people/test_parts.py
+QUICK := tests/config tests/acquisition tests/estimator tests/app/recordings tests/app/index tests/app/people/test_parts.py
 DASHBOARD_SOURCES := $(shell find frontend/src frontend/scripts frontend/public -type f ! -name wire.ts 2>/dev/null) \
 	frontend/index.html frontend/package.json frontend/vite.config.js frontend/tsconfig.json
 
@@ -72,7 +72,7 @@ reference: $(VENV)/.installed ## renew docs/reference, which is generated
 	$(BIN)/python docs/reference.py
 
 wire: $(VENV)/.installed ## renew the schema that the dashboard's types are generated from
-	$(BIN)/python -m app.wire_schema
+	$(BIN)/python -m app.messages.json_schema
 
 lock: ## renew the locked versions (needs uv)
 	uv pip compile -q pyproject.toml --universal --python-version 3.11 --no-emit-index-url --no-annotate -o requirements.lock

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import zmq
 
-from acquisition.blocks import SAMPLE_DTYPE, SampleBlock
-from acquisition.safety import Safety
+from acquisition.safety_state_machine import Safety
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
 
 HIGH_WATER_MARK = 12_000  # high-water mark: 200 blocks a second for a minute
 

@@ -7,14 +7,14 @@ from multiprocessing.synchronize import Event
 import zmq
 
 from acquisition import bus
-from acquisition.blocks import SampleBlock
-from acquisition.control import AcquisitionController, describe_release
-from acquisition.limiter import ForceLimiter
-from acquisition.nidaq import NidaqSource
-from acquisition.process import StopFlag, apply_realtime, initialize_worker
-from acquisition.safety import Safety
-from acquisition.server_watch import ServerWatchdog
-from acquisition.tools import open_tool
+from acquisition.acquisition_loop import AcquisitionController, describe_release
+from acquisition.drivers.nidaq import NidaqSource
+from acquisition.safety.force_limiter import ForceLimiter
+from acquisition.safety.server_watch import ServerWatchdog
+from acquisition.safety_state_machine import Safety
+from acquisition.sample_block import SampleBlock
+from acquisition.tool_factory import open_tool
+from acquisition.worker_process import StopFlag, apply_realtime, initialize_worker
 from config.errors import GraspwatchError, RefusedError, ToolError
 from config.schema import ConditioningSettings, GraspProtocol, LimiterSettings, RealtimeSettings, TissueLibrary, Tool
 

@@ -1,4 +1,4 @@
-"""The command line, the server and the supervision of the workers."""
+"""The command line, the server, its workers and what they keep."""
 
 from importlib.metadata import version
 

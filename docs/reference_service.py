@@ -11,11 +11,12 @@ from fastapi.routing import APIWebSocketRoute
 from typer.cli import get_docs_for_click
 from typer.main import get_command
 
-from app import cli, wire
-from app.main import ROUTERS
-from app.metrics import Metrics
-from app.people.rights import collect_route_permissions
-from app.wire_schema import HEADER_FIELDS, build_schema, describe_frame_layout
+from app.api.app import ROUTERS
+from app.cli import main
+from app.messages import wire
+from app.messages.json_schema import HEADER_FIELDS, build_schema, describe_frame_layout
+from app.people.route_permissions import collect_route_permissions
+from app.service.metrics import Metrics
 from config.load import CONFIG_DIR
 
 DOCS = Path(__file__).parent
@@ -26,7 +27,7 @@ WRITTEN = "Written by `make reference` from the code; change that instead.\n"
 
 def commands() -> str:
     """Every command with its options, by typer's own generator."""
-    command = get_command(cli.app)
+    command = get_command(main.app)
     context = typer.Context(command, info_name="graspwatch")
     return get_docs_for_click(obj=command, ctx=context, name="graspwatch", title="Commands") + "\n"
 

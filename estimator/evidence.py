@@ -15,8 +15,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from config.schema import IdentificationSettings, TissueLibrary
-from estimator.bank import FilterBank
-from estimator.compiling import compiled
+from estimator.compilation import compiled
 from estimator.constants import (
     FILLED_JAWS_MARGIN_M,
     FOLD_PROBABILITY,
@@ -27,7 +26,8 @@ from estimator.constants import (
     UNKNOWN_LOG_THICKNESS_SD,
     UNKNOWN_THICKNESS_M,
 )
-from estimator.filter import INFLATION, LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, find_most_likely
+from estimator.filter_bank import FilterBank
+from estimator.kalman_filter import INFLATION, LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, find_most_likely
 
 UNINFORMATIVE_VAR = 1e100  # of a prior that says nothing
 

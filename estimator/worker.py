@@ -9,13 +9,13 @@ import numpy as np
 import zmq
 
 from acquisition import bus
-from acquisition.process import apply_realtime, initialize_worker
+from acquisition.worker_process import apply_realtime, initialize_worker
 from config.schema import Settings, TissueLibrary, Tool
-from estimator.alarms import ForceAlarm
-from estimator.blocks import EstimateBlock, GraspRecord, IdentificationResult, LabelWithdrawal, estimate_dtype
+from estimator.estimate_block import EstimateBlock, GraspRecord, IdentificationResult, LabelWithdrawal, estimate_dtype
+from estimator.force_alarms import ForceAlarm
 
 if TYPE_CHECKING:
-    from estimator.session import TissueEstimator
+    from estimator.online_estimator import TissueEstimator
 
 REALTIME_PRIORITY = 70
 POLL_INTERVAL_MS = 200
@@ -73,7 +73,7 @@ def main(setup: EstimatorSetup) -> None:
 
 def compile_filters(setup: EstimatorSetup) -> None:
     """Compile the filters, or load them from the cache, before anything depends on them."""
-    from estimator.bank import ContactStart  # see below
+    from estimator.filter_bank import ContactStart  # see below
 
     session = _create_estimator(setup)
     session.bank.start(ContactStart(np.array([0.01, 0.0, 7.0, -0.006, 0.0])))
@@ -82,7 +82,9 @@ def compile_filters(setup: EstimatorSetup) -> None:
 
 
 def _create_estimator(setup: EstimatorSetup) -> "TissueEstimator":
-    from estimator.session import TissueEstimator  # with the compiler; the server, which only starts this, needs none
+    from estimator.online_estimator import (
+        TissueEstimator,  # with the compiler; the server, which only starts this, needs none
+    )
 
     return TissueEstimator(setup.tool, setup.library, setup.settings)
 

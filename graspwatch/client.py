@@ -1,4 +1,4 @@
-"""A service's REST interface and live stream as Python: httpx and websockets, with the messages of `app/wire.py`."""
+"""A service's REST interface and live stream as Python, with the messages of `app/messages/wire.py`."""
 
 import asyncio
 import contextlib
@@ -12,7 +12,7 @@ from typing import Any, Self
 import httpx
 from pydantic import BaseModel
 
-from app.wire import (
+from app.messages.wire import (
     AcknowledgeRequest,
     Alarm,
     ArmRequest,

@@ -9,7 +9,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
-from app.wire import SCHEMA_VERSION, FrameReceived, Hello, ServerMessage
+from app.messages.wire import SCHEMA_VERSION, FrameReceived, Hello, ServerMessage
 from config.network import is_this_computer
 from graspwatch.asking import refused, unreachable
 from graspwatch.errors import ConnectionLostError

@@ -9,11 +9,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from acquisition.process import RealtimePriority, freeze_garbage_collector
 from acquisition.simulation.board import OutputChange, RealClock, SimulatedBoard
 from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import serve_tcp
+from acquisition.worker_process import RealtimePriority, freeze_garbage_collector
 from config.load import CONFIG_DIR, load_library, load_tool
 
 HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"))  # that of a real board

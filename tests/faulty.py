@@ -5,18 +5,18 @@ from enum import StrEnum
 
 import numpy as np
 
-from acquisition.control import AcquisitionController, EndedRun
-from acquisition.limiter import ForceLimiter
-from acquisition.nidaq import NidaqSource
-from acquisition.safety import Safety
+from acquisition.acquisition_loop import AcquisitionController, EndedRun
+from acquisition.drivers.nidaq import NidaqSource
+from acquisition.safety.force_limiter import ForceLimiter
+from acquisition.safety_state_machine import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.faults import FaultySensors
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
 from config.errors import ToolError
 from config.load import load_library, load_protocol, load_settings, load_tool
-from estimator.blocks import GraspRecord
-from estimator.session import TissueEstimator
+from estimator.estimate_block import GraspRecord
+from estimator.online_estimator import TissueEstimator
 from estimator.worker import to_threshold_update
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()

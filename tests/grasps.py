@@ -4,15 +4,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from acquisition.blocks import SampleBlock
-from acquisition.control import AcquisitionController
-from acquisition.safety import Safety
+from acquisition.acquisition_loop import AcquisitionController
+from acquisition.safety_state_machine import Safety
+from acquisition.sample_block import SampleBlock
 from acquisition.simulation.tissue import Specimen
-from acquisition.tools import open_tool
-from estimator.bank import ContactStart
-from estimator.blocks import EstimateBlock, GraspRecord
-from estimator.identifier import bank_columns, build_contact_start
-from estimator.session import TissueEstimator
+from acquisition.tool_factory import open_tool
+from estimator.estimate_block import EstimateBlock, GraspRecord
+from estimator.filter_bank import ContactStart, bank_columns, build_contact_start
+from estimator.online_estimator import TissueEstimator
 
 
 def conditioned(tool, library, settings, protocol, tissue, seed=1, cycles=1) -> tuple[np.ndarray, Specimen]:

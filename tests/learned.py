@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from app.learn.gather import load_training_set
+from app.analysis.learning.training_set import load_training_set
 from config.schema import Settings, TissueLibrary, Tool
-from estimator.learning.fit import fit_library
-from estimator.learning.grasps import LabeledRecording, estimate_usual_peak_v, extract_loading_curves
+from estimator.learning.library_fit import fit_library
+from estimator.learning.recorded_grasps import LabeledRecording, estimate_usual_peak_v, extract_loading_curves
 
 
 def gathered(
@@ -41,7 +41,7 @@ def pressed(
 ) -> np.ndarray:
     """A grasp by hand: jaws travel at a steady pace and are shut after `gap_deg`, while tissue of a `stiffness`
     (V at 10 deg before) resists as an exponential; dtype SAMPLE."""
-    from acquisition.blocks import SAMPLE_DTYPE
+    from acquisition.sample_block import SAMPLE_DTYPE
 
     travel = np.concatenate([np.linspace(0, gap_deg, 300), np.full(200, gap_deg)])
     tissue_v = stiffness * np.exp(-(gap_deg - travel) / 15.0 + 10 / 15)

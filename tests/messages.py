@@ -3,7 +3,7 @@
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from app.wire import (
+from app.messages.wire import (
     Alarm,
     AlarmKind,
     FileCondition,

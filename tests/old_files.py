@@ -8,10 +8,12 @@ from typing import Any
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from acquisition.recordings import layout
-from acquisition.recordings.rows import RowLayout
+from acquisition.recordings import mcap_layout
+from acquisition.recordings.protobuf_rows import RowLayout
 
-RAW_BEFORE = RowLayout("Raw", [column for column in layout.RAW_LAYOUT.columns if column.name != layout.LIMIT_COLUMN])
+RAW_BEFORE = RowLayout(
+    "Raw", [column for column in mcap_layout.RAW_LAYOUT.columns if column.name != mcap_layout.LIMIT_COLUMN]
+)
 
 
 def without_limit(
@@ -23,24 +25,24 @@ def without_limit(
     """
     with source.open("rb") as read, target.open("wb") as write:
         reader, writer = make_reader(read), Writer(write)
-        writer.start(layout.PROFILE, "graspwatch")
+        writer.start(mcap_layout.PROFILE, "graspwatch")
         for record in reader.iter_metadata():
             writer.add_metadata(record.name, record.metadata)
         for each in reader.iter_attachments():
             data = each.data
-            if each.name == layout.TOOL_ATTACHMENT:
+            if each.name == mcap_layout.TOOL_ATTACHMENT:
                 tool = json.loads(data)
                 change_tool(tool)
                 data = json.dumps(tool).encode()
             writer.add_attachment(each.log_time, each.create_time, each.name, each.media_type, data)
         channels: dict[str, int] = {}
         for schema, channel, message in reader.iter_messages(log_time_order=False):
-            is_raw = channel.topic == layout.RAW_TOPIC
+            is_raw = channel.topic == mcap_layout.RAW_TOPIC
             if channel.topic not in channels:
                 definition = RAW_BEFORE.descriptor_set if is_raw else schema.data
                 of = writer.register_schema(schema.name, schema.encoding, definition)
                 channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, of)
-            data = RAW_BEFORE.encode(layout.RAW_LAYOUT.decode(message.data)) if is_raw else message.data
+            data = RAW_BEFORE.encode(mcap_layout.RAW_LAYOUT.decode(message.data)) if is_raw else message.data
             writer.add_message(channels[channel.topic], message.log_time, data, message.publish_time, message.sequence)
         writer.finish()
     return target

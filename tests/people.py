@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
+from app.messages.wire import Role
 from app.people import tokens
-from app.wire import Role
 from config.load import CONFIG_DIR
 
 NAMES = {Role.VIEWER: "Vera", Role.OPERATOR: "Otto", Role.ADMIN: "Ada"}

@@ -4,9 +4,9 @@ import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from app.store.rebuild import RecordingReader
-from app.store.taking import IndexedMessage
-from app.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Run
+from app.index.ingest import IndexedMessage
+from app.index.rebuild import RecordingReader
+from app.messages.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Run
 from config.errors import RecordingError
 
 KINDS = {kind.__name__: kind for kind in (Alarm, GraspEnded, JournalEntry, Run)}

@@ -5,11 +5,11 @@ from typing import Any
 
 from simulation import simulate_raw
 
-from acquisition.pipeline import ConditioningPipeline
-from app.report.statistics import Observation, TruthSource
-from app.report.story import AnalyzedRecording, RecordingAnalyzer
+from acquisition.signals.pipeline import ConditioningPipeline
+from app.analysis.report.recording_analyzer import AnalyzedRecording, RecordingAnalyzer
+from app.analysis.report.statistics import Observation, TruthSource
 from config.load import load_library, load_settings, load_tool
-from estimator.blocks import GraspRecord
+from estimator.estimate_block import GraspRecord
 
 
 def record(**changes: Any) -> GraspRecord:

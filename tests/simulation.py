@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.protocol import ProtocolPlayer
+from acquisition.drivers.source import RawBlock
+from acquisition.protocol_player import ProtocolPlayer
 from acquisition.simulation.grasper import SimulatedGrasper
-from acquisition.source import RawBlock
 from config.load import load_library, load_protocol, load_tool
 from config.schema import GraspProtocol, Tool
 

@@ -36,9 +36,9 @@ from boards import ServedBoard
 from sabotage import SABOTEUR, SIGNALS
 from service import Service, until
 
-from acquisition.recordings.container import McapFile
+from acquisition.recordings.mcap_reader import McapFile
 from acquisition.simulation.faults import SensorFault
-from app.record.reading import read_run
+from app.recordings.run_reader import read_run
 from config.errors import RecordingError
 from config.load import load_library
 

@@ -7,9 +7,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from acquisition.contact import COMMAND_ON_V
-from acquisition.nidaq import READ_TIMEOUT_MARGIN_S, BoardInfo
-from acquisition.selftest import MAX_REST_MOTION_DEG, compute_noise_range_v
+from acquisition.drivers.nidaq import READ_TIMEOUT_MARGIN_S, BoardInfo
+from acquisition.safety.self_test import MAX_REST_MOTION_DEG, compute_noise_range_v
+from acquisition.signals.grasp_tracker import COMMAND_ON_V
 from config.schema import CALIBRATION_COMMANDS, Tool
 
 RATE_TOLERANCE = 1e-3  # crystals are a hundred times better; a clock of another source is not

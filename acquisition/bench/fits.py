@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 from acquisition.bench.checks import SATURATION_SHARE, RawSignals
-from acquisition.calibration import compute_jaw_signals
-from acquisition.selftest import MAX_REST_MOTION_DEG, compute_noise_range_v
+from acquisition.safety.self_test import MAX_REST_MOTION_DEG, compute_noise_range_v
+from acquisition.signals.calibration import compute_jaw_signals
 from config.errors import CalibrationError
 from config.schema import Tool
 

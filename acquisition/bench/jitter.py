@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from acquisition.acquisition_loop import AcquisitionController
 from acquisition.bench.checks import lateness_ms
-from acquisition.bench.jaws import count_blocks
-from acquisition.control import AcquisitionController
-from acquisition.nidaq import NidaqSource
-from acquisition.process import apply_realtime
+from acquisition.bench.jaw_motion import count_blocks
+from acquisition.drivers.nidaq import NidaqSource
+from acquisition.worker_process import apply_realtime
 from config.errors import ToolError
 from config.schema import RealtimeSettings, Settings, TissueLibrary, Tool
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from acquisition.calibration import compute_jaw_signals, compute_sensor_signals
+from acquisition.signals.calibration import compute_jaw_signals, compute_sensor_signals
 from acquisition.simulation.tissue import NO_DEVIATION, Material, ModelDeviation, Specimen, integrate_tissue
 from config.errors import ConfigurationError
 from config.schema import TissueLibrary, Tool

@@ -1,1 +1,1 @@
-"""The audit trail: the journal's chain, its check and export, and who asked for what from where."""
+"""Who did what: the journal, its hash chain, its check and its export."""

@@ -1,1 +1,1 @@
-"""Who may be here, and what each may do: tokens, sessions, the lease on the tool, and the gate before every route."""
+"""Who may do what: tokens, browser sessions, roles, and the middleware that asks before every route."""

@@ -6,15 +6,16 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import plotly.graph_objects as go
 
-from estimator.identifier import BankIdentifier, TissueIdentifier, build_contact_start
-from estimator.rivals.particle import ParticleIdentifier
-from estimator.rivals.printed import PaperIdentifier
-from estimator.rivals.unscented import build_unscented_identifier
-from estimator.studies.course import StudyConditions, StudySetup, build_balanced_cases, load_study_setup
-from estimator.studies.grasps import GraspCase, SimulatedGrasp, extract_contact_samples, simulate_grasp
-from estimator.studies.measures import bayes_limit, compute_reliability, score_answers
-from estimator.studies.report import PALETTE, KeyFigure, StudyResult, Table
-from estimator.studies.runner import Progress, run_cases
+from estimator.baselines.identifier import BankIdentifier, TissueIdentifier
+from estimator.baselines.paper_filter import PaperIdentifier
+from estimator.baselines.particle_filter import ParticleIdentifier
+from estimator.baselines.unscented_filter import build_unscented_identifier
+from estimator.filter_bank import build_contact_start
+from estimator.studies.answer_course import StudyConditions, StudySetup, build_balanced_cases, load_study_setup
+from estimator.studies.case_runner import Progress, run_cases
+from estimator.studies.probability_scores import bayes_limit, compute_reliability, score_answers
+from estimator.studies.simulated_grasps import GraspCase, SimulatedGrasp, extract_contact_samples, simulate_grasp
+from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
 
 TIMES_S = (0.1, 0.15, 0.3)
 OURS = "ours"

@@ -6,13 +6,19 @@ from functools import partial
 import numpy as np
 import plotly.graph_objects as go
 
-from acquisition.blocks import SampleFlag
+from acquisition.sample_block import SampleFlag
 from config.schema import TissueLibrary
-from estimator.bank import ContactStart, FilterBank, TissuePriors, build_filter_tunings
+from estimator.baselines.paper_filter import PaperIdentifier
 from estimator.decision import UNDECIDED, UNKNOWN
-from estimator.identifier import bank_columns, build_contact_start
-from estimator.rivals.printed import PaperIdentifier
-from estimator.studies.course import (
+from estimator.filter_bank import (
+    ContactStart,
+    FilterBank,
+    TissuePriors,
+    bank_columns,
+    build_contact_start,
+    build_filter_tunings,
+)
+from estimator.studies.answer_course import (
     STEP_S,
     ProbabilityHistory,
     StudyConditions,
@@ -20,11 +26,16 @@ from estimator.studies.course import (
     estimate_grasp,
     load_study_setup,
 )
-from estimator.studies.grasps import GraspCase, extract_contact_samples
-from estimator.studies.measures import bayes_limit, compute_confusion_matrix, compute_reliability, score_answers
-from estimator.studies.refine import PosteriorProblem, compute_cramer_rao_bound
-from estimator.studies.report import PALETTE, TISSUE_COLORS, KeyFigure, StudyResult, Table
-from estimator.studies.runner import Progress, run_cases
+from estimator.studies.case_runner import Progress, run_cases
+from estimator.studies.map_estimate import PosteriorProblem, compute_cramer_rao_bound
+from estimator.studies.probability_scores import (
+    bayes_limit,
+    compute_confusion_matrix,
+    compute_reliability,
+    score_answers,
+)
+from estimator.studies.simulated_grasps import GraspCase, extract_contact_samples
+from estimator.studies.study_report import PALETTE, TISSUE_COLORS, KeyFigure, StudyResult, Table
 
 TIMES_S = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.5, 1.0)
 OURS, LIKELIHOOD_PRODUCT, PAPER_CRITERIA = "ours", "plain likelihoods", "paper's criteria"

@@ -5,16 +5,15 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import plotly.graph_objects as go
 
-from estimator.bank import FilterBank, TissuePriors, build_filter_tunings
+from estimator.baselines.paper_filter import FILTERED_NOISE_SHARE, GUESS_SHARE_SD, PaperFilterBank, PaperNoise
 from estimator.criteria import convergence_samples
-from estimator.filter import PARAMETERS, X
-from estimator.identifier import bank_columns, build_contact_start
-from estimator.model import force_curve
-from estimator.rivals.printed import FILTERED_NOISE_SHARE, GUESS_SHARE_SD, PaperFilterBank, PaperNoise
-from estimator.studies.course import StudyConditions, load_study_setup
-from estimator.studies.grasps import GraspCase, extract_contact_samples, simulate_grasp
-from estimator.studies.report import KeyFigure, StudyResult, Table
-from estimator.studies.runner import Progress, run_cases
+from estimator.filter_bank import FilterBank, TissuePriors, bank_columns, build_contact_start, build_filter_tunings
+from estimator.kalman_filter import PARAMETERS, X
+from estimator.studies.answer_course import StudyConditions, load_study_setup
+from estimator.studies.case_runner import Progress, run_cases
+from estimator.studies.simulated_grasps import GraspCase, extract_contact_samples, simulate_grasp
+from estimator.studies.study_report import KeyFigure, StudyResult, Table
+from estimator.tissue_model import force_curve
 
 FACTORS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 MAX_CONVERGENCE_S = 0.3

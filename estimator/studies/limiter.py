@@ -6,18 +6,18 @@ from dataclasses import asdict, replace
 import numpy as np
 import plotly.graph_objects as go
 
-from estimator.studies.course import StudyConditions, StudySetup, load_study_setup
-from estimator.studies.limited import LEAD_IN_S, simulate_limited, simulate_unlimited_force
-from estimator.studies.limited_cases import (
+from estimator.studies.answer_course import StudyConditions, StudySetup, load_study_setup
+from estimator.studies.case_runner import Progress, run_cases
+from estimator.studies.limiter_cases import (
     FAST_RAMP_V_PER_S,
     LimitedCase,
     ThresholdScenario,
     build_out_of_bounds_cases,
     draw_cases,
 )
-from estimator.studies.limited_measures import LimiterOutcome, measure_outcome
-from estimator.studies.report import PALETTE, KeyFigure, StudyResult, Table
-from estimator.studies.runner import Progress, run_cases
+from estimator.studies.limiter_measures import LimiterOutcome, measure_outcome
+from estimator.studies.limiter_simulation import LEAD_IN_S, simulate_limited, simulate_unlimited_force
+from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
 
 MAX_BOARD_COMMAND_V = 10.0  # what the board can give: commands up to 5 N by the map need 8.9 V
 MAX_OVER_LIMIT_PERCENT, MAX_OVERSHOOT_PERCENT, MIN_HOLDING_PERCENT = 0.1, 5.0, 99.0  # %

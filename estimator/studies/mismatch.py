@@ -5,17 +5,17 @@ from dataclasses import asdict, replace
 import numpy as np
 import plotly.graph_objects as go
 
-from estimator.studies.course import (
+from estimator.studies.answer_course import (
     ProbabilityHistory,
     StudyConditions,
     build_balanced_cases,
     estimate_grasp,
     load_study_setup,
 )
-from estimator.studies.measures import Score, score_answers
-from estimator.studies.report import PALETTE, KeyFigure, StudyResult, Table
-from estimator.studies.runner import Progress, run_cases
-from estimator.studies.truths import MISMATCHES
+from estimator.studies.case_runner import Progress, run_cases
+from estimator.studies.out_of_library import MISMATCHES
+from estimator.studies.probability_scores import Score, score_answers
+from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
 
 MATCHED, CONTACT_NOT_SENSED = "matched", "contact not sensed"
 MAX_POINTS_BEHIND, MAX_CALIBRATION_ERROR = 10.0, 0.10

@@ -7,16 +7,13 @@ import plotly.graph_objects as go
 
 from config.load import load_library, load_settings
 from config.schema import TissueLibrary
-from estimator.bank import FilterBank, TissuePriors
-from estimator.filter import LOG_DAMPING, PARAMETERS, PARAMETERS_AND_MASS, V, X
-from estimator.model import force_curve
-from estimator.rivals.printed import ALPHA, BETA, DAMPING
-from estimator.rivals.printed import X as PRINTED_X
-from estimator.studies.printed_tables import TABLE_3, TABLE_4_N, TABLE_4_S, TABLE_5_S
-from estimator.studies.refine import compute_cramer_rao_bound, log_evidence, maximize_posterior
-from estimator.studies.report import TISSUE_COLORS, KeyFigure, StudyResult, Table
-from estimator.studies.runner import Progress, run_cases
-from estimator.studies.sine import (
+from estimator.baselines.paper_filter import ALPHA, BETA, DAMPING
+from estimator.baselines.paper_filter import X as PRINTED_X
+from estimator.filter_bank import FilterBank, TissuePriors
+from estimator.kalman_filter import LOG_DAMPING, PARAMETERS, PARAMETERS_AND_MASS, V, X
+from estimator.studies.case_runner import Progress, run_cases
+from estimator.studies.map_estimate import compute_cramer_rao_bound, log_evidence, maximize_posterior
+from estimator.studies.paper_simulation import (
     GUESS_LOG_SD,
     RATE_HZ,
     SineRun,
@@ -29,6 +26,9 @@ from estimator.studies.sine import (
     run_paper_filters,
     simulate_sine,
 )
+from estimator.studies.paper_tables import TABLE_3, TABLE_4_N, TABLE_4_S, TABLE_5_S
+from estimator.studies.study_report import TISSUE_COLORS, KeyFigure, StudyResult, Table
+from estimator.tissue_model import force_curve
 
 PARAMETER_NAMES = ("alpha", "beta", "d")
 

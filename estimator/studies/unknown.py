@@ -7,11 +7,11 @@ import plotly.graph_objects as go
 
 from acquisition.simulation.tissue import NO_DEVIATION
 from estimator.decision import UNKNOWN
-from estimator.studies.course import StudyConditions, build_balanced_cases, estimate_grasp, load_study_setup
-from estimator.studies.grasps import GraspCase
-from estimator.studies.report import PALETTE, KeyFigure, StudyResult, Table
-from estimator.studies.runner import Progress, run_cases
-from estimator.studies.truths import DEVIATION_BY_TISSUE, OUT_OF_LIBRARY, SLIPPING_DEVIATION
+from estimator.studies.answer_course import StudyConditions, build_balanced_cases, estimate_grasp, load_study_setup
+from estimator.studies.case_runner import Progress, run_cases
+from estimator.studies.out_of_library import DEVIATION_BY_TISSUE, OUT_OF_LIBRARY, SLIPPING_DEVIATION
+from estimator.studies.simulated_grasps import GraspCase
+from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-// Writes src/wire.ts (types and constants) from src/wire.schema.json, which app/wire_schema.py writes.
+// Writes src/wire.ts (types and constants) from src/wire.schema.json, which app/messages/json_schema.py writes.
 import { readFile, writeFile } from "node:fs/promises";
 import { compile } from "json-schema-to-typescript";
 

@@ -11,9 +11,9 @@ import numpy as np
 from grasps import conditioned, signals
 
 from config.load import load_library, load_protocol, load_settings, load_tool
-from estimator.bank import FilterBank
+from estimator.baselines.filterpy_reference import ReferenceBank
 from estimator.evidence import BankEvidence
-from estimator.reference import ReferenceBank
+from estimator.filter_bank import FilterBank
 
 SAMPLES, BLOCK = 500, 5
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from simulation import joined, simulate_raw, write_lvm
 
-from acquisition.recordings.playing import RecordingSource
-from app.headless import replay_recording, run_protocol
-from app.record.run_file import RecordingContext
+from acquisition.recordings.recording import RecordingSource
+from app.analysis.headless import replay_recording, run_protocol
+from app.recordings.mcap_writer import RecordingContext
 from config.load import load_library, load_protocol, load_settings, load_tool
 
 ROUNDS = 3

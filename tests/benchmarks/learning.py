@@ -8,7 +8,7 @@ from pathlib import Path
 from simulation import joined, simulate_raw, write_lvm
 from typer.testing import CliRunner
 
-from app.cli import app
+from app.cli.main import app
 
 ROUNDS = 3
 TISSUES = ("liver", "small_bowel", "bladder", "gallbladder")

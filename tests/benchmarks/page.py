@@ -6,8 +6,8 @@ import shutil
 from playwright.sync_api import Page, sync_playwright
 from service import Service
 
-from app.main import STATIC_FOLDER
-from app.wire_schema import describe_frame_layout
+from app.api.app import STATIC_FOLDER
+from app.messages.json_schema import describe_frame_layout
 
 SIZE = {"width": 1920, "height": 1080}
 SETTLE_S = 5.0

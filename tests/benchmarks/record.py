@@ -9,13 +9,13 @@ from pathlib import Path
 from service import Service, until
 from simulation import joined, simulate_raw, write_lvm
 
-from acquisition.recordings.container import McapFile
-from acquisition.recordings.playing import RecordingSource
-from app.exchange.exporting import export_run
-from app.exchange.formats import ExportFormat
-from app.exchange.importing import import_labview
-from app.headless import replay_recording
-from app.record.run_file import RecordingContext
+from acquisition.recordings.mcap_reader import McapFile
+from acquisition.recordings.recording import RecordingSource
+from app.analysis.headless import replay_recording
+from app.recordings.exchange.export import export_run
+from app.recordings.exchange.export_formats import ExportFormat
+from app.recordings.exchange.labview_import import import_labview
+from app.recordings.mcap_writer import RecordingContext
 from config.load import load_library, load_settings, load_tool
 
 RUN_S = 60.0

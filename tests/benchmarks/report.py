@@ -6,8 +6,8 @@ from pathlib import Path
 
 from simulation import joined, simulate_raw, write_lvm
 
-from app.report.page import render_report_page
-from app.report.report import read_report, write_atomically
+from app.analysis.report.page import render_report_page
+from app.analysis.report.report import read_report, write_atomically
 from config.load import load_library, load_settings, load_tool
 
 GRASPS = 500

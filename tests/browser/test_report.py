@@ -10,8 +10,8 @@ from service import Service, until
 from simulation import joined, simulate_raw, write_lvm
 from watched import Watched
 
-from app.report.page import render_report_page as report_page
-from app.report.report import Report, read_report
+from app.analysis.report.page import render_report_page as report_page
+from app.analysis.report.report import Report, read_report
 
 pytestmark = pytest.mark.browser
 A4_PX = 695  # what A4 leaves between the page's margins

@@ -6,8 +6,8 @@ from people import bearer, give_tokens
 from playwright.sync_api import expect
 from service import Service
 
+from app.messages.wire import Role
 from app.people import tokens
-from app.wire import Role
 
 pytestmark = pytest.mark.browser
 

@@ -12,7 +12,7 @@ import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from acquisition.protocol import command_cycle
+from acquisition.protocol_player import command_cycle
 from config.errors import ConfigurationError, RefusedError
 from config.load import (
     CONFIG_DIR,

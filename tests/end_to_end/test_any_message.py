@@ -13,7 +13,7 @@ from simulation import joined, simulate_raw, write_lvm
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from app.live import LIVE_VIEWER_MESSAGE, REPLAY_VIEWER_MESSAGE
+from app.stream.viewers import LIVE_VIEWER_MESSAGE, REPLAY_VIEWER_MESSAGE
 
 LIVE, REPLAY = "/api/live", "/api/recordings/liver.lvm/replay"
 NOT_UNDERSTOOD, TOO_LONG = 1007, 1009

@@ -12,8 +12,8 @@ import pytest
 from certificates import self_signed
 from service import Service
 
+from app.messages.wire import Hello, Identification, Role, RunState
 from app.people import tokens
-from app.wire import Hello, Identification, Role, RunState
 from graspwatch import ConnectionLostError, Frame, Graspwatch, RefusedError, UnreachableError
 
 Returned = TypeVar("Returned")

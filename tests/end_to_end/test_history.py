@@ -13,9 +13,9 @@ import pytest
 from service import PROGRAM, Service, until
 from simulation import joined, simulate_raw, write_lvm
 
-from app.store.database import index_url_from_settings
-from app.store.questions import FileQuery
-from app.store.store import Store
+from app.index.database import index_url_from_settings
+from app.index.queries import FileQuery
+from app.index.store import Store
 from config.load import CONFIG_DIR, load_settings
 
 SIMULATED = joined(simulate_raw("bladder", cycles=1))

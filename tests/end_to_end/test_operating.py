@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from service import PROGRAM, Listener, Service, until
 
+from app.messages.wire import Role
 from app.people import tokens
-from app.wire import Role
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 

@@ -14,8 +14,8 @@ from service import Service, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from app.messages.wire import Role
 from app.people import tokens
-from app.wire import Role
 
 LEASE_S = 6.0
 MOST_CONNECTIONS = 60

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from service import PROGRAM, Listener, Service, until
 
-from acquisition.recordings.container import McapFile
-from acquisition.recordings.playing import RecordingSource
-from app.headless import replay_recording
-from app.record.mend import recover_file
-from app.record.reading import read_run
-from app.record.run_file import RecordingContext
+from acquisition.recordings.mcap_reader import McapFile
+from acquisition.recordings.recording import RecordingSource
+from app.analysis.headless import replay_recording
+from app.recordings.file_repair import recover_file
+from app.recordings.mcap_writer import RecordingContext
+from app.recordings.run_reader import read_run
 from config.load import load_tool
 
 RIG = load_tool("smart_tool_2013")

@@ -15,10 +15,10 @@ from simulation import joined, simulate_raw, write_lvm
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from acquisition.recordings.lvm import read_lvm
-from acquisition.recordings.playing import RecordingSource
-from app.headless import replay_recording
-from app.record.run_file import RecordingContext
+from acquisition.recordings.labview import read_lvm
+from acquisition.recordings.recording import RecordingSource
+from app.analysis.headless import replay_recording
+from app.recordings.mcap_writer import RecordingContext
 from config.load import CONFIG_DIR, load_library, load_settings, load_tool
 
 RIG, LIBRARY, SETTINGS = load_tool("smart_tool_2013"), load_library("porcine"), load_settings()

@@ -12,7 +12,7 @@ from playwright.sync_api import sync_playwright
 from prometheus_client.parser import text_string_to_metric_families
 from service import Service, until
 
-from app.study.desk import StudyRunner
+from app.analysis.study_runner import StudyRunner
 
 ENDED_WITHIN_S = 2.0
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from config.schema import IdentificationSettings, WarningSettings
-from estimator.alarms import ForceAlarmMonitor, Priority
 from estimator.criteria import ForceErrors
 from estimator.decision import UNDECIDED, Decision
+from estimator.force_alarms import ForceAlarmMonitor, Priority
 
 NAMES = ("liver", "bladder", "unknown")
 

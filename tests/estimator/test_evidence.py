@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from config.load import load_library, load_settings, load_tool
-from estimator.bank import ContactStart, FilterBank
 from estimator.constants import FILLED_JAWS_MARGIN_M, FOLD_PROBABILITY
 from estimator.evidence import BankEvidence, compute_marginal_log_likelihood, compute_parameter_likelihood
-from estimator.filter import PARAMETERS, STATE_COUNT
-from estimator.studies.truths import OUT_OF_LIBRARY
+from estimator.filter_bank import ContactStart, FilterBank
+from estimator.kalman_filter import PARAMETERS, STATE_COUNT
+from estimator.studies.out_of_library import OUT_OF_LIBRARY
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings().identification
 OPENING_M = TOOL.geometry.opening_m

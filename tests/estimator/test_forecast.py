@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from config.load import load_library, load_settings, load_tool
 from config.schema import CustomWaveform, GraspProtocol
 from estimator.forecast import FORECAST_HORIZON_S, LEVEL_SAMPLES, ForceForecast
-from estimator.session import TissueEstimator
+from estimator.online_estimator import TissueEstimator
 
 RATE_HZ, NOISE_N = 1000.0, 0.0124  # of a sample, at 2 mV
 FORECAST = ForceForecast(RATE_HZ)

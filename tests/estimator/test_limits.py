@@ -7,19 +7,19 @@ import pytest
 from grasps import by, conditioned, processed
 from simulation import WatchedGrasper
 
-from acquisition.blocks import SampleFlag
-from acquisition.control import AcquisitionController
-from acquisition.limiter import SETPOINT_SHARE, ForceLimiter
-from acquisition.nidaq import NidaqSource
-from acquisition.protocol import ProtocolPlayer
-from acquisition.safety import Safety
+from acquisition.acquisition_loop import AcquisitionController
+from acquisition.drivers.nidaq import NidaqSource
+from acquisition.protocol_player import ProtocolPlayer
+from acquisition.safety.force_limiter import SETPOINT_SHARE, ForceLimiter
+from acquisition.safety_state_machine import Safety
+from acquisition.sample_block import SampleFlag
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import create_in_process_options
 from config.load import load_library, load_protocol, load_settings, load_tool
-from estimator.blocks import IdentificationResult
 from estimator.constants import FILLED_JAWS_MARGIN_M
-from estimator.session import TissueEstimator
-from estimator.studies.grasps import without_touch
+from estimator.estimate_block import IdentificationResult
+from estimator.online_estimator import TissueEstimator
+from estimator.studies.simulated_grasps import without_touch
 from estimator.worker import to_threshold_update
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()

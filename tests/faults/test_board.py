@@ -5,10 +5,10 @@ from faulty import AT, LIBRARY, PROTOCOL, SETTINGS, TOOL, Bench, Moment
 from nidaqmx.error_codes import DAQmxErrors
 from simulation import WatchedGrasper
 
-from acquisition.control import AcquisitionController
-from acquisition.limiter import RELEASE_SHARE, ForceLimiter
-from acquisition.nidaq import NidaqSource
-from acquisition.safety import Safety
+from acquisition.acquisition_loop import AcquisitionController
+from acquisition.drivers.nidaq import NidaqSource
+from acquisition.safety.force_limiter import RELEASE_SHARE, ForceLimiter
+from acquisition.safety_state_machine import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import create_in_process_options
 

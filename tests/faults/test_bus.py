@@ -13,11 +13,11 @@ import zmq
 from faulty import LIBRARY, PROTOCOL, SETTINGS, TOOL
 
 from acquisition import bus
+from acquisition.acquisition_loop import AcquisitionController
 from acquisition.bench.jitter import cpu_load
-from acquisition.blocks import SampleBlock
-from acquisition.control import AcquisitionController
-from acquisition.nidaq import NidaqSource
-from acquisition.safety import Safety
+from acquisition.drivers.nidaq import NidaqSource
+from acquisition.safety_state_machine import Safety
+from acquisition.sample_block import SampleBlock
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options

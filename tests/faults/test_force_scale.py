@@ -7,16 +7,16 @@ import pytest
 from faulty import LIBRARY, PROTOCOL, SETTINGS, TOOL
 from simulation import WatchedGrasper
 
-from acquisition.blocks import SAMPLE_DTYPE, SampleBlock
-from acquisition.control import AcquisitionController
-from acquisition.limiter import ForceLimiter, find_stop_reason
-from acquisition.nidaq import NidaqSource
-from acquisition.safety import Safety
+from acquisition.acquisition_loop import AcquisitionController
+from acquisition.drivers.nidaq import NidaqSource
+from acquisition.safety.force_limiter import ForceLimiter, find_stop_reason
+from acquisition.safety_state_machine import Safety
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import create_in_process_options
 from config.errors import RefusedError
 from config.schema import ForceScale, Tool, ToolKind
-from estimator.session import TissueEstimator
+from estimator.online_estimator import TissueEstimator
 from estimator.worker import to_threshold_update
 
 STRONG = PROTOCOL.model_copy(update={"waveform": PROTOCOL.waveform.model_copy(update={"peak_v": 3.5, "hold_s": 1.0})})

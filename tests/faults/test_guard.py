@@ -9,10 +9,11 @@ import pytest
 import zmq
 from faulty import LIBRARY, SETTINGS, TOOL
 
-from acquisition import bus, guard
-from acquisition.blocks import SAMPLE_DTYPE, SampleBlock
-from acquisition.nidaq import NidaqSource, create_session_options
-from acquisition.safety import Safety
+from acquisition import bus
+from acquisition.drivers.nidaq import NidaqSource, create_session_options
+from acquisition.safety import safety_monitor
+from acquisition.safety_state_machine import Safety
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
 from acquisition.simulation.board import RealClock, SimulatedBoard
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import serve_tcp
@@ -37,8 +38,8 @@ class GuardedTool:
         self.publisher = bus.open_publisher(self._context, endpoints.samples)
         self._told = bus.open_subscriber(self._context, endpoints.safety_monitor)
         context = multiprocessing.get_context("spawn")
-        setup = guard.SafetyMonitorSetup(os.getpid(), endpoints, tool, SETTINGS.realtime)
-        self.process = context.Process(target=guard.main, args=(setup,), daemon=True)
+        setup = safety_monitor.SafetyMonitorSetup(os.getpid(), endpoints, tool, SETTINGS.realtime)
+        self.process = context.Process(target=safety_monitor.main, args=(setup,), daemon=True)
         self.process.start()
         assert self._told.poll(20_000), "the guard says nothing"
         self.publish(Safety.RUNNING, 0.3)

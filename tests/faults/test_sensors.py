@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 from faulty import AT, CYCLE, LEAD_IN, PROTOCOL, TOOL, Bench, Moment
 
-from acquisition.safety import Safety
+from acquisition.safety_state_machine import Safety
 from acquisition.simulation import faults
 from acquisition.simulation.faults import SensorFault
 from config.errors import RefusedError

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from acquisition.bench import fits
 from acquisition.bench.checks import RawSignals
 from acquisition.bench.fits import CalibrationFit, FittedConstant, LoadingPass
-from acquisition.bench.measuring import CalibrationBench, extract_recorded_passes
-from acquisition.nidaq import NidaqSource
-from acquisition.recordings.playing import RecordingSource
+from acquisition.bench.readings import CalibrationBench, extract_recorded_passes
+from acquisition.drivers.nidaq import NidaqSource
+from acquisition.recordings.recording import RecordingSource
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from app.plan import ServicePlan
 from config.load import load_tool
 from config.schema import Settings, TissueLibrary, Tool
+from config.service_plan import ServicePlan
 
 
 @pytest.fixture

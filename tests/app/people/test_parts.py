@@ -3,11 +3,11 @@
 import pytest
 from starlette.requests import Request
 
-from app.people.lease import ControlLease
-from app.people.origin import is_encrypted, is_local_request, is_same_origin
-from app.people.rates import RateLimiter
-from app.people.sessions import MAX_SESSIONS_PER_TOKEN, BrowserSessions
+from app.http.rate_limiter import RateLimiter
+from app.http.request_origin import is_encrypted, is_local_request, is_same_origin
+from app.people.browser_sessions import MAX_SESSIONS_PER_TOKEN, BrowserSessions
 from app.people.tokens import hash_secret
+from app.service.control_lease import ControlLease
 from config.errors import RefusedError
 from config.schema import ServerSettings
 

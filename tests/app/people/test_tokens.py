@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from app.messages.wire import Role
 from app.people.tokens import TokenStore, add_token, read_tokens, revoke_token
-from app.wire import Role
 from config.errors import ConfigurationError
 
 

@@ -8,8 +8,8 @@ from boards import HAS_DRIVER, ServedBoard
 from people import bearer, give_tokens
 from service import PROGRAM, Listener, Service, until
 
-from acquisition.recordings.container import McapFile
-from app.wire import Role
+from acquisition.recordings.mcap_reader import McapFile
+from app.messages.wire import Role
 
 pytestmark = pytest.mark.skipif(HAS_DRIVER, reason="the driver of a real board is installed")
 START = {"protocol": "trapezoid_2hz", "cycles": 1}

@@ -10,9 +10,9 @@ import pytest
 from boards import ServedBoard
 from service import Listener, Service, until
 
-from acquisition.limiter import ForceLimiter
-from acquisition.recordings.container import McapFile
-from app.record.reading import read_run
+from acquisition.recordings.mcap_reader import McapFile
+from acquisition.safety.force_limiter import ForceLimiter
+from app.recordings.run_reader import read_run
 from config.load import load_library, load_settings, load_tool
 
 LIBRARY, SETTINGS = load_library("porcine"), load_settings()

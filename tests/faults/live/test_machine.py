@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from service import Listener, Service, until
 
-from app.record.reading import read_run
+from app.recordings.run_reader import read_run
 from config.load import CONFIG_DIR
 
 pytestmark = pytest.mark.alone

@@ -12,8 +12,8 @@ from boards import ServedBoard
 from sabotage import SABOTEUR
 from service import Listener, Service, until
 
-from acquisition.recordings.container import McapFile
-from app.record.reading import read_run
+from acquisition.recordings.mcap_reader import McapFile
+from app.recordings.run_reader import read_run
 
 pytestmark = pytest.mark.alone
 

@@ -9,8 +9,8 @@ from boards import ServedBoard
 from sabotage import SABOTEUR, SIGNALS
 from service import Listener, Service, until
 
-from acquisition.recordings.container import McapFile
-from app.record.reading import read_run
+from acquisition.recordings.mcap_reader import McapFile
+from app.recordings.run_reader import read_run
 from config.load import load_library
 
 pytestmark = pytest.mark.alone

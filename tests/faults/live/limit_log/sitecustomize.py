@@ -4,7 +4,7 @@ import json
 import os
 
 if path := os.environ.get("LIMIT_LOG"):
-    from acquisition.limiter import ForceLimiter
+    from acquisition.safety.force_limiter import ForceLimiter
 
     set_threshold, limit_command = ForceLimiter.set_threshold, ForceLimiter.limit_command
 

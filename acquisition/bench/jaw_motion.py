@@ -1,0 +1,122 @@
+"""Moves jaws that nothing alive is in: gently shut, held at steps of force, let go."""
+
+import contextlib
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from acquisition.bench.checks import RawSignals
+from acquisition.drivers.command_history import AppliedCommand
+from acquisition.drivers.nidaq import NidaqSource, read_driver_version, reset_device
+from acquisition.drivers.source import RawBlock
+from config.errors import ToolError
+from config.schema import Tool, ToolKind
+
+CLOSING_COMMAND_V = 0.5
+"""0.8 N on the Smart Tool, a third of the lowest injury threshold."""
+RAMP_STEP_V = 0.01  # a block
+CLOSING_TIMEOUT_S = 3.0  # for the jaws to shut
+STANDSTILL_BLOCKS, STANDSTILL_DEG = 40, 0.1
+LEVEL_BLOCKS, SETTLING_BLOCKS = 40, 16
+MAX_STRAIN_V = 0.4
+"""Beyond rest: 2 to 3 N, more than the motion comes to."""
+
+
+class EmptyJaws:
+    """The jaws of a tool that is open, and what its strain gage reads at rest."""
+
+    def __init__(self, source: NidaqSource, tool: Tool, rest_v: float) -> None:
+        self._source, self._tool, self._rest_v = source, tool, rest_v
+
+    def read_block(self) -> RawBlock:
+        """The next block.
+
+        Raises:
+            ToolError: more force than the motion can come to; the motor is at zero.
+        """
+        block = self._source.read_block()
+        strain_v = float(np.median(block.strain_v)) - self._rest_v
+        if not abs(strain_v) < MAX_STRAIN_V:
+            self._source.write_command(0.0)
+            raise ToolError(
+                f"The strain gage rose by {strain_v:.2f} V under {CLOSING_COMMAND_V} V, more than empty jaws do: the "
+                f"motor is at "
+                "zero. Look what is in the jaws, and check gain, sign and cable of the amplifier."
+            )
+        return block
+
+    def close(self) -> float:
+        """Close until the encoder stands; its angle then, degrees."""
+        written, last_deg, still = self._source.write_command(0.0), float("inf"), 0
+        for _ in range(count_blocks(CLOSING_TIMEOUT_S, self._tool)):
+            if written.command_v < CLOSING_COMMAND_V:
+                written = self._source.write_command(min(written.command_v + RAMP_STEP_V, CLOSING_COMMAND_V))
+            block = self.read_block()
+            now_deg = float(block.encoder_deg[-1])
+            is_driven = written.command_v == CLOSING_COMMAND_V and not is_before_command(block, written)
+            still = still + 1 if is_driven and abs(now_deg - last_deg) < STANDSTILL_DEG else 0
+            last_deg = now_deg
+            if still >= STANDSTILL_BLOCKS:
+                break
+        return last_deg
+
+    def settle_at(self, level_v: float) -> RawSignals:
+        """What the sensors read once a level of the command has settled."""
+        written = self._source.write_command(level_v)
+        return read_settled(written, self.read_block)
+
+
+def is_before_command(block: RawBlock, written: AppliedCommand) -> bool:
+    """Whether all of the block was taken before the command was on: a reader may lag."""
+    return block.first_tick + len(block) <= written.latest_tick
+
+
+def read_settled(written: AppliedCommand, read: Callable[[], RawBlock]) -> RawSignals:
+    """The next samples that were taken once the command had settled."""
+    while is_before_command(block := read(), written):
+        pass
+    return concatenate_signals([block, *(read() for _ in range(LEVEL_BLOCKS - 1))][SETTLING_BLOCKS:])
+
+
+def count_blocks(seconds: float, tool: Tool) -> int:
+    return round(seconds * tool.board.sample_rate_hz / tool.board.block_samples)
+
+
+def concatenate_signals(blocks: list[RawBlock]) -> RawSignals:
+    """The signals of consecutive blocks as one stretch."""
+
+    def of(name: str) -> np.ndarray:
+        return np.concatenate([getattr(block, name) for block in blocks])
+
+    return RawSignals(of("strain_v"), of("motor_command_v"), (of("touch_1_v"), of("touch_2_v")), of("encoder_deg"))
+
+
+@contextlib.contextmanager
+def zero_on_process_death(tool: Tool) -> Iterator[None]:
+    """Meanwhile a process of its own waits: should this one be killed, it resets the board, which holds its output."""
+    if tool.kind is not ToolKind.NIDAQ:
+        yield  # a simulated board is gone with the process
+        return
+    near, far = multiprocessing.Pipe()
+    watcher = multiprocessing.get_context("spawn").Process(target=_reset_on_broken_pipe, args=(tool, far))
+    watcher.start()
+    far.close()
+    near.recv()
+    try:
+        yield
+    finally:
+        near.send("done")
+        watcher.join()
+
+
+def _reset_on_broken_pipe(tool: Tool, line: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C is for the one who is watched
+    read_driver_version(tool)  # and with it connect, so that a reset is quick
+    line.send("watching")
+    try:
+        line.recv()
+    except EOFError:
+        reset_device(tool)

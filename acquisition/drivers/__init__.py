@@ -1,0 +1,1 @@
+"""Where raw samples come from, and where commands go to."""

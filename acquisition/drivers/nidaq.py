@@ -1,0 +1,384 @@
+"""The grasper behind an NI board, through NI's own package: the same code for the real board and the simulated one."""
+
+import contextlib
+import functools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import grpc
+import nidaqmx
+import numpy as np
+from nidaqmx.constants import AcquisitionType, EncoderType, TriggerType
+from nidaqmx.error_codes import DAQmxErrors
+from nidaqmx.errors import DaqError, DaqReadError, RpcError
+from nidaqmx.errors import Error as DaqBaseError
+from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
+from nidaqmx.stream_writers import AnalogSingleChannelWriter
+from nidaqmx.system import Device, System
+
+from acquisition.drivers.command_history import AppliedCommand, SampleCountReading
+from acquisition.drivers.source import RawBlock
+from config.errors import RefusedError, ToolError
+from config.network import is_this_computer
+from config.schema import Board, Tool
+
+# DaqBaseError holds a missing driver, a failing board and a lost server; OSError comes from a driver that cannot load.
+_BOARD_ERRORS = (DaqBaseError, OSError)
+
+READ_TIMEOUT_MARGIN_S = 0.008  # beyond the duration of a block: without samples nobody knows the force
+_WRITE_TIMEOUT_S = 1.0
+COUNT_INTERVAL_NS, MAX_COUNT_LATENCY_NS, MAX_COUNT_AGE_NS = 100_000_000, 2_000_000, 1_000_000_000
+_GRPC_OPTIONS = (("grpc.max_reconnect_backoff_ms", 200), ("grpc.initial_reconnect_backoff_ms", 50))
+
+_IN_USE_TEXT = "Another program uses {device}: close it, then start again."
+_ERROR_TEXTS = {
+    DAQmxErrors.SAMPLES_NO_LONGER_AVAILABLE: "Samples of {device} were overwritten before this computer fetched them: "
+    "close other programs, then start again.",
+    DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE: "{device} delivered only {got} of {wanted} samples in time: check that "
+    "nothing else uses its sample clock, then start again.",
+    DAQmxErrors.INVALID_DEVICE_ID: "There is no board named {device}: connect it, or set `device` under [board] in the "
+    "tool file to its name in NI MAX.",
+    DAQmxErrors.DEV_CANNOT_BE_ACCESSED: "{device} no longer answers: check its seat and power, then start again.",
+    DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST: "{device} lacks a channel that the tool file names under [channels]: "
+    "correct it there ({detail}).",
+    DAQmxErrors.PAL_RESOURCE_RESERVED: _IN_USE_TEXT,
+    DAQmxErrors.RESOURCE_ALREADY_RESERVED: _IN_USE_TEXT,
+}
+
+
+class NidaqSource:
+    """A `Source` on one NI board: hardware-clocked inputs, encoder on the same clock, on-demand motor command.
+
+    Samples are never bridged over: a late, short or failed read leaves the motor at zero and closes the board, which
+    then has to be opened again. Only the first block after `reopen` has `lost_samples`.
+    """
+
+    def __init__(
+        self,
+        tool: Tool,
+        grpc_options: nidaqmx.GrpcSessionOptions | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """`grpc_options` leads to a simulated or remote board; without it the installed driver is used.
+
+        `clock` gives `t_mono_ns` of a block, the moment at which it had been read, ns.
+        """
+        self._tool = tool
+        self._grpc_options = grpc_options
+        self._clock = clock
+        self._tasks: list[nidaqmx.Task] = []
+        self._motor_writer: AnalogSingleChannelWriter | None = None
+        self._start_tick = self._next_tick = self._lost_samples = 0
+        self._last_read_ns = 0
+        self._block_samples = tool.board.block_samples
+        self._timeout_s = self._block_samples / tool.board.sample_rate_hz + READ_TIMEOUT_MARGIN_S
+        self._analog_v = np.empty((4, self._block_samples))
+        self._encoder_deg = np.empty(self._block_samples)
+
+    def __enter__(self) -> Self:
+        """Open the board with the motor at zero and the sample clock running.
+
+        Raises:
+            ToolError: no driver, no such board or channel, or the board is in use.
+        """
+        try:
+            self._open_motor()
+            encoder = self._open_encoder()
+            analog = self._open_analog()
+            encoder.start()  # waits for the start of the analog inputs, which drive its clock
+            begin_ns = self._clock()
+            analog.start()
+            self._sample_count = SampleCountReading(
+                self._tool.board.sample_rate_hz, begin_ns, self._clock(), self._start_tick
+            )
+        except _BOARD_ERRORS as error:
+            raise self._close_with_error(error) from error
+        except BaseException:
+            self._close()
+            raise
+        self._next_tick = self._start_tick
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._close():
+            raise ToolError(_switch_off_text(self._tool))
+
+    def reopen(self) -> None:
+        """Open a board that gave up while this process was held up; ticks go on as if its clock had never stopped.
+
+        Raises:
+            ToolError: as on entering.
+        """
+        self._close()
+        self._lost_samples = round((self._clock() - self._last_read_ns) * 1e-9 * self._tool.board.sample_rate_hz)
+        self._start_tick = self._next_tick + self._lost_samples
+        self.__enter__()
+
+    def read_block(self) -> RawBlock:
+        """The next `block_samples` samples.
+
+        Raises:
+            ToolError: a sample is late or lost, or the board failed; the motor has been commanded to zero.
+        """
+        self._require_motor_writer()
+        n = self._block_samples
+        try:
+            got_v = self._analog_reader.read_many_sample(self._analog_v, n, self._timeout_s)
+            got_deg = self._encoder_reader.read_many_sample_double(self._encoder_deg, n, self._timeout_s)
+            self._last_read_ns = self._clock()
+            self._update_sample_count(self._last_read_ns)
+        except _BOARD_ERRORS as error:
+            raise self._close_with_error(error) from error
+        except BaseException:  # interrupted between the two reads: the next pair would not belong together
+            self._close()
+            raise
+        if min(got_v, got_deg) < n:
+            raise self._close_with_error(
+                DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, min(got_v, got_deg))
+            )
+        analog_v = self._analog_v.copy()
+        block = RawBlock(
+            first_tick=self._next_tick,
+            t_mono_ns=self._last_read_ns,
+            strain_v=analog_v[0],
+            encoder_deg=self._encoder_deg.copy(),
+            motor_command_v=analog_v[1],
+            touch_1_v=analog_v[2],
+            touch_2_v=analog_v[3],
+            lost_samples=self._lost_samples,
+            backlog=max(self._sample_count.min_count_at(self._last_read_ns) - self._next_tick - n, 0),
+        )
+        self._next_tick, self._lost_samples = self._next_tick + n, 0
+        return block
+
+    def _update_sample_count(self, now_ns: int) -> None:
+        """Ask the board now and then; an answer that took long is worth less than an older one, for a while."""
+        age_ns = now_ns - self._sample_count.requested_ns
+        if self._next_tick > self._start_tick and age_ns < COUNT_INTERVAL_NS:
+            return
+        taken = self._start_tick + self._analog_task.in_stream.total_samp_per_chan_acquired
+        answered_ns = self._clock()
+        if answered_ns - now_ns <= MAX_COUNT_LATENCY_NS or age_ns > MAX_COUNT_AGE_NS:
+            self._sample_count = SampleCountReading(self._tool.board.sample_rate_hz, now_ns, answered_ns, taken)
+
+    def write_command(self, command_v: float) -> AppliedCommand:
+        """Set the motor command, V, and return from which tick on it holds.
+
+        Raises:
+            RefusedError: the command is beyond the tool's limits or not a number; the motor is at zero.
+            ToolError: the board failed.
+        """
+        allowed = 0.0 <= command_v <= self._tool.limits.max_command_v  # False for NaN, too
+        written = self._write_motor(command_v if allowed else 0.0)
+        if not allowed:
+            raise RefusedError(
+                f"{command_v} V is no motor command between 0 and {self._tool.limits.max_command_v} V; the motor is at "
+                "zero: correct the protocol, or max_command_v under [limits] in the tool file."
+            )
+        return written
+
+    def _write_motor(self, command_v: float) -> AppliedCommand:
+        motor, begin_ns = self._require_motor_writer(), self._clock()
+        try:
+            motor.write_one_sample(command_v, _WRITE_TIMEOUT_S)
+        except _BOARD_ERRORS as error:
+            raise self._close_with_error(error) from error
+        return AppliedCommand(
+            command_v, self._sample_count.min_count_at(begin_ns), self._sample_count.max_count_at(self._clock())
+        )
+
+    def _require_motor_writer(self) -> AnalogSingleChannelWriter:
+        if self._motor_writer is None:
+            raise ToolError(f"{self._tool.board.device} is not open (any more): open the tool again first.")
+        return self._motor_writer
+
+    def _open_motor(self) -> None:
+        task = self._new_task()
+        task.ao_channels.add_ao_voltage_chan(
+            self._terminal(self._tool.channels.motor_command), min_val=0.0, max_val=self._tool.limits.max_command_v
+        )
+        task.start()  # a started task takes a write without the detour of starting and stopping itself
+        self._motor_writer = AnalogSingleChannelWriter(task.out_stream, auto_start=False)
+        self._motor_writer.write_one_sample(0.0, _WRITE_TIMEOUT_S)
+
+    def _open_encoder(self) -> nidaqmx.Task:
+        task = self._new_task()
+        calibration = self._tool.calibration
+        task.ci_channels.add_ci_ang_encoder_chan(
+            self._terminal(self._tool.channels.encoder),
+            decoding_type=EncoderType.X_4,
+            # pulses of one turn after the gearbox, so that degrees are those of the geometry's equations
+            pulses_per_rev=round(calibration.encoder_counts_per_rev * calibration.encoder_gear_ratio),
+        )
+        self._configure_sample_clock(task, source="/" + self._terminal("ai/SampleClock"))
+        arm = task.triggers.arm_start_trigger
+        arm.trig_type = TriggerType.DIGITAL_EDGE
+        arm.dig_edge_src = "/" + self._terminal("ai/StartTrigger")
+        self._encoder_reader = CounterReader(task.in_stream)
+        self._encoder_reader.verify_array_shape = False  # asks the board again at every read
+        return task
+
+    def _open_analog(self) -> nidaqmx.Task:
+        self._analog_task = task = self._new_task()
+        channels = self._tool.channels
+        for name in (channels.strain, channels.motor_command_readback, *channels.touch):
+            task.ai_channels.add_ai_voltage_chan(
+                self._terminal(name), min_val=-channels.analog_range_v, max_val=channels.analog_range_v
+            )
+        self._configure_sample_clock(task, source="")
+        self._analog_reader = AnalogMultiChannelReader(task.in_stream)
+        self._analog_reader.verify_array_shape = False
+        return task
+
+    def _new_task(self) -> nidaqmx.Task:
+        task = nidaqmx.Task(grpc_options=self._grpc_options)
+        self._tasks.append(task)
+        return task
+
+    def _configure_sample_clock(self, task: nidaqmx.Task, source: str) -> None:
+        rate_hz = self._tool.board.sample_rate_hz
+        task.timing.cfg_samp_clk_timing(rate_hz, source=source, sample_mode=AcquisitionType.CONTINUOUS)
+
+    def _terminal(self, name: str) -> str:
+        return f"{self._tool.board.device}/{name}"
+
+    def _close_with_error(self, error: Exception) -> ToolError:
+        """Close with the motor at zero, and put `error` into words."""
+        text, had_motor = _describe_error(error, self._tool), self._motor_writer is not None
+        if not self._close():
+            return ToolError(f"{text} {_switch_off_text(self._tool)}")
+        return ToolError(f"{text} The motor is at zero." if had_motor else text)
+
+    def _close(self) -> bool:
+        """Motor to zero, then give the board back; False if the motor could not be commanded to zero."""
+        is_zero = self._zero_motor()
+        self._motor_writer = None
+        tasks, self._tasks = self._tasks, []
+        for task in tasks:
+            # With the motor settled, a task that does not close leaves the board reserved: the next start says so.
+            with contextlib.suppress(*_BOARD_ERRORS):
+                task.close()
+        return is_zero
+
+    def _zero_motor(self) -> bool:
+        if self._motor_writer is None:
+            return True
+        with contextlib.suppress(*_BOARD_ERRORS):
+            self._motor_writer.write_one_sample(0.0, _WRITE_TIMEOUT_S)
+            return True
+        with contextlib.suppress(ToolError):  # an aborted task takes no more writes, but a reset zeroes as well
+            reset_device(self._tool, self._grpc_options)
+            return True
+        return False
+
+
+def create_session_options(tool: Tool) -> nidaqmx.GrpcSessionOptions | None:
+    """How the tool's board is reached: through the server that its file names, or (None) the installed driver."""
+    board = tool.board
+    return nidaqmx.GrpcSessionOptions(_open_grpc_channel(board), "") if board.grpc_address else None
+
+
+@functools.cache
+def _open_grpc_channel(board: Board) -> grpc.Channel:
+    """Connected once: whoever has to reset a board has no time for that.
+
+    Raises:
+        ToolError: a certificate cannot be read.
+    """
+    address = board.grpc_address or ""
+    direct = is_this_computer(address.rpartition(":")[0])  # the proxy variables are for other computers
+    options = (*_GRPC_OPTIONS, ("grpc.enable_http_proxy", int(not direct)))
+    if not board.grpc_ca:
+        return grpc.insecure_channel(address, options=options)
+    ca, key, cert = (_read_pem(path) if path else None for path in (board.grpc_ca, board.grpc_key, board.grpc_cert))
+    return grpc.secure_channel(address, grpc.ssl_channel_credentials(ca, key, cert), options=options)
+
+
+def _read_pem(path: str) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ToolError(
+            f"{path}: the certificate or key of the board's server cannot be read ({error.strerror}). Correct its path "
+            "under [board] in the tool file."
+        ) from None
+
+
+def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> None:
+    """Abort whatever runs on the tool's board and put its outputs to 0 V, for when the worker that had it is dead.
+
+    Raises:
+        ToolError: the board could not be reset; the motor may still be driven.
+    """
+    try:
+        Device(tool.board.device, grpc_options=grpc_options or create_session_options(tool)).reset_device()
+    except _BOARD_ERRORS as error:
+        raise ToolError(f"{_describe_error(error, tool)} {_switch_off_text(tool)}") from error
+
+
+def read_driver_version(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> str:
+    """Find out whether there is a driver at all, before anything else is started; its version.
+
+    Raises:
+        ToolError: there is none.
+    """
+    try:
+        options = grpc_options or create_session_options(tool)
+        system = System.remote(options) if options else System.local()
+        version = system.driver_version
+    except _BOARD_ERRORS as error:
+        raise ToolError(_describe_error(error, tool)) from error
+    return f"{version.major_version}.{version.minor_version}.{version.update_version}"
+
+
+@dataclass(frozen=True, slots=True)
+class BoardInfo:
+    """What a board says of itself; names of channels without the device's."""
+
+    product: str
+    analog_inputs: tuple[str, ...]
+    analog_outputs: tuple[str, ...]
+    counters: tuple[str, ...]
+    input_ranges_v: tuple[float, ...]  # the upper ends
+
+
+def read_board_info(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> BoardInfo:
+    """Ask the board; nothing is started.
+
+    Raises:
+        ToolError: there is no such board, or it does not answer.
+    """
+    device = Device(tool.board.device, grpc_options=grpc_options or create_session_options(tool))
+    try:
+        channels = (device.ai_physical_chans, device.ao_physical_chans, device.ci_physical_chans)
+        names = [tuple(name.partition("/")[2] for name in each.channel_names) for each in channels]
+        return BoardInfo(device.product_type, *names, tuple(device.ai_voltage_rngs[1::2]))
+    except _BOARD_ERRORS as error:
+        raise ToolError(_describe_error(error, tool)) from error
+
+
+def _describe_error(error: Exception, tool: Tool) -> str:
+    """One sentence on what happened and what to do next."""
+    device = tool.board.device
+    if isinstance(error, RpcError):
+        trust = ", and that `grpc_ca` is the certificate that vouches for it" if tool.board.grpc_ca else ""
+        return f"The server of {device} is lost ({error.description}): see that it runs{trust}, then start again."
+    if not isinstance(error, DaqError):
+        return (
+            "NI-DAQmx, the driver of the board, is missing here or too old: install NI-DAQmx from ni.com, "
+            "or run with `--tool simulated`, which needs no driver."
+        )
+    detail = str(error).partition("\n")[0]
+    advice = _ERROR_TEXTS.get(error.error_type, "{device} failed: {detail} Test it in NI MAX, then start again.")
+    got = error.samps_per_chan_read if isinstance(error, DaqReadError) else 0
+    return advice.format(device=device, detail=detail, got=got, wanted=tool.board.block_samples)
+
+
+def _switch_off_text(tool: Tool) -> str:
+    return f"{tool.board.device} could not be commanded to zero: switch off the motor's amplifier NOW."

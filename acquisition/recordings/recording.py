@@ -1,0 +1,177 @@
+"""A recording as a source: its raw samples, block by block, as the board gave them."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from pydantic import ValidationError
+
+from acquisition.drivers.command_history import AppliedCommand
+from acquisition.drivers.source import RawBlock
+from acquisition.recordings.labview import MAX_TIME_STEP_S, read_lvm
+from acquisition.recordings.mcap_layout import LIMIT_COLUMN, RAW_LAYOUT, RAW_TOPIC, SIGNAL_COLUMNS, TOOL_ATTACHMENT
+from acquisition.recordings.mcap_reader import COPY_AGAIN_TEXT, MAGIC, McapFile
+from config.errors import RecordingError
+from config.schema import Tool
+
+BLOCK_SAMPLES = 100
+STEP_SAMPLES = 5  # whoever follows works in steps that end at ticks that are multiples of this, and at a block's end
+
+
+@dataclass(frozen=True, slots=True)
+class _RecordedSamples:
+    """Raw samples. Ticks count from the recording's first sample.
+
+    `signals`: of shape (5, n), in the order of SIGNALS; `limiter`: the limiter's flags, (n,); `limit_n`: what it
+    enforced, (n,), NaN where that is not recorded; `ends`: rows behind which
+    a block ended where nothing else tells it; `runs`: for each row at which a run begins, which.
+    """
+
+    ticks: np.ndarray
+    signals: np.ndarray
+    limiter_flags: np.ndarray
+    limit_n: np.ndarray
+    block_ends: np.ndarray
+    run_ids_by_row: dict[int, str]
+
+
+class RecordingSource:
+    """A recording of either kind; `speed` 1 plays it in real time, None as fast as it is read.
+
+    `tool` is the one it was recorded with: it stands in an MCAP file, and is named by the caller for LabVIEW's.
+    """
+
+    def __init__(self, path: Path, tool: Tool, speed: float | None = None) -> None:
+        """
+        Raises:
+            RecordingError: the file cannot be read, or is no recording; names the place.
+        """
+        self.path = path
+        self.mcap_file = McapFile(path) if is_mcap(path) else None
+        self.first_tick = 0  # of an MCAP file: what its own ticks count from
+        self.tool = tool if self.mcap_file is None else read_recorded_tool(self.mcap_file)
+        self._recorded = self._read()
+        self._rate_hz = self.tool.board.sample_rate_hz
+        if self.duration_s > MAX_TIME_STEP_S:
+            raise RecordingError(
+                f"{path}: spans more than {MAX_TIME_STEP_S / 3600:.0f} hours. Split it, or mend its times."
+            )
+        self._speed = speed
+        self._block_samples = BLOCK_SAMPLES if speed is None else self.tool.board.block_samples
+        self._row = self._skipped_rows = 0
+        self._run_id = ""
+        self._started_s = 0.0
+
+    def _read(self) -> _RecordedSamples:
+        if self.mcap_file is None:
+            table = read_lvm(self.path, self.tool)
+            ticks = np.round((table[:, 0] - table[0, 0]) * self.tool.board.sample_rate_hz).astype(np.int64)
+            signals = np.ascontiguousarray(table[:, [1, 5, 2, 3, 4]].T)
+            held, limit_n = np.zeros(len(ticks), np.uint16), np.full(len(ticks), np.nan)
+            return _RecordedSamples(ticks, signals, held, limit_n, np.zeros(0, np.int64), {})
+        rows = self.mcap_file.read_rows(RAW_TOPIC)
+        missing = {column.path for column in RAW_LAYOUT.columns} - set(rows.columns) - {LIMIT_COLUMN}
+        if missing:
+            raise RecordingError(f"{self.path}: lacks {', '.join(sorted(missing))}: not all that a replay needs.")
+        ticks, about = rows.columns["tick"], self.mcap_file.metadata
+        if (np.diff(ticks) < 1).any():
+            raise RecordingError(f"{self.path}: its samples are not in the order of time.")
+        self.first_tick = int(ticks[0] - ticks[0] % STEP_SAMPLES)
+        try:
+            begins, run_id = int(np.searchsorted(ticks, int(about["run_first_tick"]))), about["run_id"]
+        except (KeyError, ValueError, OverflowError):
+            raise RecordingError(f"{self.path}: does not say where its run begins. {COPY_AGAIN_TEXT}") from None
+        ends = np.flatnonzero(np.diff(rows.sequence)) + 1
+        ends = ends[ticks[ends - 1] % STEP_SAMPLES != STEP_SAMPLES - 1]
+        signals = np.array([rows.columns[name] for name in SIGNAL_COLUMNS])
+        runs = {begins: run_id} if begins < len(ticks) else {}
+        limiter = rows.columns["limiter_flags"].astype(np.uint16)
+        limit_n = rows.columns.get(LIMIT_COLUMN, np.full(len(ticks), np.nan))
+        return _RecordedSamples(ticks - self.first_tick, signals, limiter, limit_n, ends, runs)
+
+    def __enter__(self) -> Self:
+        self._started_s = time.monotonic()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return
+
+    @property
+    def sample_count(self) -> int:
+        """How many there are to come, or have come."""
+        return len(self._recorded.ticks) - self._skipped_rows
+
+    @property
+    def duration_s(self) -> float:
+        return float(self._recorded.ticks[-1] + 1) / self._rate_hz
+
+    def skip_to_run(self) -> None:
+        """Leave out what was recorded before the run: of it alone its estimates are made."""
+        self._row = self._skipped_rows = min(self._recorded.run_ids_by_row, default=0)
+
+    def read_block(self) -> RawBlock | None:
+        """The next samples up to a gap or the beginning of a run; None at the end."""
+        recorded, at = self._recorded, self._row
+        if at >= len(recorded.ticks):
+            return None
+        self._run_id = recorded.run_ids_by_row.get(at, self._run_id)
+        end = self._find_block_end(at)
+        ticks = recorded.ticks[at:end]
+        whole = int(np.argmax(ticks - ticks[0] != np.arange(len(ticks)))) or len(ticks)
+        self._row = end = at + whole
+        lost = int(ticks[0] - recorded.ticks[at - 1] - 1) if at > self._skipped_rows else 0
+        if self._speed is not None:
+            played = int(ticks[0]) + whole - int(recorded.ticks[self._skipped_rows])
+            due = self._started_s + played / self._rate_hz / self._speed
+            time.sleep(max(due - time.monotonic(), 0.0))
+        return RawBlock(
+            int(ticks[0]),
+            time.monotonic_ns(),
+            *recorded.signals[:, at:end],
+            lost_samples=lost,
+            limiter_flags=recorded.limiter_flags[at:end],
+            limit_n=recorded.limit_n[at:end],
+            run=self._run_id,
+        )
+
+    def _find_block_end(self, at: int) -> int:
+        """Row behind the block that begins at this row; blocks end where steps do."""
+        recorded = self._recorded
+        end = min(at + self._block_samples, len(recorded.ticks))
+        if end < len(recorded.ticks):
+            end = max(end - int(recorded.ticks[end] + self.first_tick) % STEP_SAMPLES, at + 1)
+        own = int(np.searchsorted(recorded.block_ends, at, "right"))
+        stops = [*recorded.block_ends[own : own + 1].tolist(), *(row for row in recorded.run_ids_by_row if row > at)]
+        return min([end, *stops])
+
+    def write_command(self, command_v: float) -> AppliedCommand:
+        """A recording's motor has long stopped."""
+        return AppliedCommand(0.0, 0, 0)
+
+
+def read_recorded_tool(container: McapFile) -> Tool:
+    """The tool that a file was recorded with.
+
+    Raises:
+        RecordingError: the file does not hold it, or not as this version describes tools.
+    """
+    try:
+        return Tool.model_validate_json(container.attachments[TOOL_ATTACHMENT])
+    except (KeyError, ValidationError) as error:
+        why = str(error).splitlines()[0]
+        raise RecordingError(f"{container.path}: the tool it was recorded with cannot be read ({why}).") from None
+
+
+def is_mcap(path: Path) -> bool:
+    """By its beginning, or by its name where it has none."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(MAGIC))
+    except OSError:
+        start = b""
+    return start == MAGIC or path.suffix == ".mcap"

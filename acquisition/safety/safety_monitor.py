@@ -1,0 +1,82 @@
+"""The guard: a process of its own that brings the motor to zero when the acquisition falls silent in a run.
+
+A board holds its last output when the process that wrote it hangs, is stopped or dies. The guard needs nobody else: it
+hears the blocks as they are published, and resets the device when they stop coming, again and again until that is done.
+Asked to end, it stays until the motor is known to be at zero.
+"""
+
+import time
+from dataclasses import dataclass
+
+import zmq
+
+from acquisition import bus
+from acquisition.drivers.nidaq import read_driver_version, reset_device
+from acquisition.safety_state_machine import RUN_STATES
+from acquisition.worker_process import apply_realtime, initialize_worker
+from config.errors import ToolError
+from config.schema import RealtimeSettings, Tool
+
+REALTIME_PRIORITY = 70
+"""Less than the acquisition's: a guard that runs wild must not make it late."""
+POLL_INTERVAL_MS = 10
+SILENT_POLLS = 6
+"""So often in a row nothing came: 60 to 70 ms. Counted in looks, as a guard that was held up itself knows nothing."""
+REPORT_INTERVAL_S = 0.1
+RETRY_POLLS = 5  # after a reset that failed
+CPU_BURST_US = 100_000
+"""The guard only waits: if it computes for so long, it runs wild, and an alarm is due within half a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyMonitorSetup:
+    """All that the guard needs to know."""
+
+    parent_pid: int
+    endpoints: bus.Endpoints
+    tool: Tool
+    realtime: RealtimeSettings
+
+
+def main(setup: SafetyMonitorSetup) -> None:
+    """Run until a signal."""
+    stop = initialize_worker("guard", setup.parent_pid)
+    context = zmq.Context()
+    blocks = bus.open_subscriber(context, setup.endpoints.samples)
+    publisher = bus.open_publisher(context, setup.endpoints.safety_monitor)
+    read_driver_version(setup.tool)  # and with it connect, so that a reset is quick
+    granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=1, cpu_burst_us=CPU_BURST_US)
+    in_run, silent, said_s = False, 0, 0.0
+    try:
+        while in_run or not stop.is_set:
+            if time.monotonic() - said_s > REPORT_INTERVAL_S:
+                said_s = time.monotonic()
+                granted.priority.renew()
+                publisher.send_multipart(bus.pack_notice("guarding", realtime=str(granted)))
+            if blocks.poll(POLL_INTERVAL_MS):
+                parts = blocks.recv_multipart()
+                if parts[0] == bus.SAMPLES_TOPIC:
+                    in_run, silent = bus.unpack_safety(parts) in RUN_STATES, 0
+                elif bus.unpack_notice(parts)["kind"] == "run_ended":
+                    in_run = False
+            elif in_run:
+                silent += 1
+                if silent >= SILENT_POLLS:
+                    in_run, silent = not _reset_to_zero(setup.tool, publisher), SILENT_POLLS - RETRY_POLLS
+    finally:
+        context.destroy(linger=200)
+
+
+def _reset_to_zero(tool: Tool, publisher: zmq.Socket) -> bool:
+    """Reset the device, and tell what came of it; returns whether the motor is at zero."""
+    begin_s = time.monotonic()
+    try:
+        reset_device(tool)
+    except ToolError as error:
+        publisher.send_multipart(bus.pack_notice("not_zeroed", text=str(error)))
+        return False
+    took_ms = (time.monotonic() - begin_s) * 1e3
+    silent_ms = SILENT_POLLS * POLL_INTERVAL_MS
+    text = f"The acquisition was silent for {silent_ms} ms: the motor is at zero by a reset that took {took_ms:.0f} ms"
+    publisher.send_multipart(bus.pack_notice("zeroed", text=text))
+    return True

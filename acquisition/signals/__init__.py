@@ -1,0 +1,1 @@
+"""What raw samples mean: tare, filter, units, contact."""

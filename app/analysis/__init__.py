@@ -1,0 +1,1 @@
+"""What recordings, studies and calibrations say afterwards."""

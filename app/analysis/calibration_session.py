@@ -1,0 +1,248 @@
+"""Calibrations guided from the dashboard: readings come from the live samples, motion is a run like any other."""
+
+import asyncio
+import getpass
+from pathlib import Path
+
+from acquisition import bus
+from acquisition.bench import fits, readings
+from acquisition.bench.calibration_file import write_calibration_file
+from acquisition.bench.checks import RawSignals
+from acquisition.bench.fits import CalibrationFit, LoadingPass
+from acquisition.safety_state_machine import Safety
+from acquisition.sample_block import SampleBlock
+from app.messages.wire import (
+    Calibration,
+    CalibrationKind,
+    CalibrationReading,
+    CalibrationRequest,
+    CalibrationResult,
+    Constant,
+)
+from app.service.arming import CALIBRATION_ARM_REASON
+from app.service.tool_service import ToolService
+from config.errors import CalibrationError, RefusedError, ServiceError
+from config.load import load_tool
+from config.schema import Tool, ToolKind
+from config.service_plan import ServicePlan
+from config.writing import check_writable
+
+SAMPLE_TIMEOUT_S = 3.0
+REST_DURATIONS_S = {CalibrationKind.TARE: readings.TARE_S, CalibrationKind.STRAIN: readings.WEIGHT_S}
+MAX_PLOT_POINTS = 500
+NO_CALIBRATION = Calibration(what=None, values=[], readings=[], reading=False, problem=None, result=None)
+
+
+class CalibrationSession:
+    """At most one calibration at a time; what it has read is kept until another one begins."""
+
+    def __init__(self, plan: ServicePlan, tool_service: ToolService) -> None:
+        self._plan, self._tool_service = plan, tool_service
+        self._tool_source = plan.tool_source or plan.tool.name  # each builds on the one before
+        self._collected_blocks: list[SampleBlock] | None = None
+        self._block_arrived = asyncio.Event()
+        self._request: CalibrationRequest | None = None
+        self._readings: list[RawSignals | list[LoadingPass]] = []
+        self.state = NO_CALIBRATION
+        tool_service.block_listeners.append(self._on_block)
+
+    def _on_block(self, block: SampleBlock) -> None:
+        if self._collected_blocks is not None:
+            self._collected_blocks.append(block)
+            self._block_arrived.set()
+
+    def begin(self, request: CalibrationRequest) -> None:
+        """Forget what was, and wait for the first reading.
+
+        Raises:
+            CalibrationError: the weights or gauges tell nothing.
+            RefusedError: a reading is under way.
+            ConfigurationError: the tool file could not be written.
+        """
+        self._check_idle()
+        check_writable(self._folder)
+        values = [0.0]
+        if request.what is CalibrationKind.STRAIN:
+            values = fits.check_pulls(request.values).tolist()
+        elif request.what is CalibrationKind.GEOMETRY:
+            values = (fits.check_gauges([each * 1e-3 for each in request.values]) * 1e3).tolist()
+        self._request, self._readings = request, []
+        self.state = NO_CALIBRATION.model_copy(update={"what": request.what, "values": values})
+
+    def discard(self) -> None:
+        """
+        Raises:
+            RefusedError: a reading is under way; a stop ends it.
+        """
+        self._check_idle()
+        self._request = None
+        self.state = NO_CALIBRATION
+
+    def _check_idle(self) -> None:
+        if self.state.reading:
+            raise RefusedError("A reading is under way. Wait for it, or press STOP.")
+
+    async def take_reading(self, by: str | None) -> None:
+        """Take the next reading; after the last one, fit, and write the tool file.
+
+        Raises:
+            RefusedError: nothing was begun, all is read, or the tool may not move now.
+            ServiceError: the acquisition does not answer, or no samples come.
+            CalibrationError: the reading cannot be trusted: it may be repeated.
+        """
+        self._check_idle()
+        if self._request is None or len(self._readings) == len(self.state.values):
+            raise RefusedError("Nothing is left to read: begin a calibration.")
+        if self._tool_service.runs.current:  # known before the first of its blocks has come
+            raise RefusedError("A run is under way. Stop it first.")
+        what, value = self._request.what, self.state.values[len(self._readings)]
+        self._update_state(reading=True, problem=None)
+        try:
+            found = await self._measure(what, value, by)
+            self._readings.append(found)
+            self._update_state(readings=[*self.state.readings, _summarize_reading(value, found)])
+            if len(self._readings) == len(self.state.values):
+                await self._finish(by)
+        finally:
+            self._collected_blocks = None
+            self._update_state(reading=False)
+
+    async def _measure(self, what: CalibrationKind, value: float, by: str | None) -> RawSignals | list[LoadingPass]:
+        try:
+            found = (
+                await self._measure_at_rest(what, value, by)
+                if what in REST_DURATIONS_S
+                else await self._measure_in_motion(what, value, by)
+            )
+            if what is CalibrationKind.STRAIN:
+                fits.check_steady(found, f"{value:g} N", self._load_newest_tool())
+        except CalibrationError as error:
+            self._update_state(problem=str(error))
+            raise
+        return found
+
+    def _update_state(self, **changes: object) -> None:
+        self.state = self.state.model_copy(update=changes)
+
+    def _load_newest_tool(self) -> Tool:
+        return load_tool(self._tool_source)
+
+    async def _measure_at_rest(self, what: CalibrationKind, value: float, by: str | None) -> RawSignals:
+        if self._tool_service.arming.safety is Safety.ARMED:  # a weight would be a fault of its gage
+            await self._tool_service.arming.disarm(by)
+        await self._set_simulated_load(value if what is CalibrationKind.STRAIN else 0.0, None)
+        try:
+            seconds = REST_DURATIONS_S[what]
+            self._collected_blocks, wanted = [], round(seconds * self._plan.tool.board.sample_rate_hz)
+            async with asyncio.timeout(seconds + SAMPLE_TIMEOUT_S):
+                while sum(len(block.samples) for block in self._collected_blocks) < wanted:
+                    self._block_arrived.clear()
+                    await self._block_arrived.wait()
+        except TimeoutError:
+            raise ServiceError("No samples arrive from the tool. See the alarms, then read again.") from None
+        finally:
+            taken, self._collected_blocks = self._collected_blocks or [], None
+            await self._set_simulated_load(0.0, None)
+        return readings.extract_signals(taken)
+
+    async def _measure_in_motion(self, what: CalibrationKind, value: float, by: str | None) -> list[LoadingPass]:
+        await self._set_simulated_load(0.0, value * 1e-3 if what is CalibrationKind.GEOMETRY else 0.0)
+        try:
+            self._collected_blocks = []
+            run = await self._tool_service.start_run(
+                readings.build_closing_protocol(), 1, None, by, self._unmeasured_scale_reason
+            )
+            while self._tool_service.runs.current and self._tool_service.runs.current.id == run.id:
+                self._block_arrived.clear()
+                await asyncio.wait_for(self._block_arrived.wait(), SAMPLE_TIMEOUT_S)
+            ended = self._tool_service.runs.get(run.id) or run
+            if ended.state.value != "finished":
+                raise CalibrationError(f"The run was {ended.state.value}: {ended.why}. Mend that, and read again.")
+        except TimeoutError:
+            raise ServiceError("No samples arrive from the tool. See the alarms, then read again.") from None
+        finally:
+            taken, self._collected_blocks = self._collected_blocks or [], None
+            await self._set_simulated_load(0.0, None)
+            arming = self._tool_service.arming
+            if arming.safety is Safety.ARMED and arming.unmeasured_scale_reason == CALIBRATION_ARM_REASON:
+                await arming.disarm(by)  # it was armed for this alone
+        played = readings.extract_signals([block for block in taken if block.run == run.id])
+        return readings.extract_passes(played, self._load_newest_tool())
+
+    async def _set_simulated_load(self, pull_n: float, gauge_m: float | None) -> None:
+        """What a person does at a real tool."""
+        if self._plan.tool.kind is ToolKind.SIMULATED:
+            await self._tool_service.set_simulated_load(bus.SimulatedLoadCommand(pull_n, gauge_m))
+
+    async def _finish(self, by: str | None) -> None:
+        """Fit, and write, in a thread: the first fit of a service loads what it needs. What is refused is told."""
+        asked, tool = self._request, self._load_newest_tool()
+        person = asked.person or by or getpass.getuser()
+        try:
+            fit = await asyncio.to_thread(self._fit, tool)
+        except CalibrationError as error:
+            self._update_state(problem=f"{error} Nothing was written.")
+            raise
+        path = await asyncio.to_thread(
+            write_calibration_file, fit, self._tool_source, person, asked.valid_days, self._folder
+        )
+        self._tool_source = str(path)
+        self._update_state(result=_build_result(fit, tool, path))
+        names = ", ".join(each.key for each in fit.constants)
+        self._tool_service.publish_event(f"Calibrated: {names}; written to {path}", by=by)
+
+    @property
+    def _unmeasured_scale_reason(self) -> str:
+        """Why the tool may move without a measured force scale, where it has none."""
+        return "" if self._plan.tool.has_known_scale else CALIBRATION_ARM_REASON
+
+    @property
+    def _folder(self) -> Path:
+        return self._plan.data_folder / "tools"
+
+    def _fit(self, tool: Tool) -> CalibrationFit:
+        match self._request.what:
+            case CalibrationKind.TARE:
+                return fits.fit_tare(self._readings[0], tool)
+            case CalibrationKind.STRAIN:
+                return fits.fit_strain(self.state.values, self._readings, tool)
+            case CalibrationKind.STRETCH:
+                return fits.fit_stretch(self._readings[0], tool)
+            case CalibrationKind.GEOMETRY:
+                passes = [readings.merge_passes(found) for found in self._readings]
+                return fits.fit_geometry([each * 1e-3 for each in self.state.values], passes, tool)
+
+
+def _summarize_reading(value: float, found: RawSignals | list[LoadingPass]) -> CalibrationReading:
+    signals = found if isinstance(found, RawSignals) else readings.merge_passes(found)
+    return CalibrationReading(
+        value=value, strain_v=float(signals.strain_v.mean()), encoder_deg=float(signals.encoder_deg.mean())
+    )
+
+
+def _build_result(fit: CalibrationFit, tool: Tool, path: Path) -> CalibrationResult:
+    thin = slice(None, None, max(1, len(fit.points[0]) // MAX_PLOT_POINTS))
+    constants = [
+        Constant(
+            key=each.key,
+            value=each.value,
+            low=each.low,
+            high=each.high,
+            unit=each.unit,
+            residual=each.residual,
+            residual_unit=each.residual_unit,
+            readings=each.readings,
+            before=fits.read_current_value(each, tool),
+        )
+        for each in fit.constants
+    ]
+    return CalibrationResult(
+        file=str(path),
+        constants=constants,
+        remarks=list(fit.remarks),
+        axes=list(fit.axes),
+        x=fit.points[0][thin].tolist(),
+        y=fit.points[1][thin].tolist(),
+        line_x=fit.line[0].tolist(),
+        line_y=fit.line[1].tolist(),
+    )

@@ -1,0 +1,152 @@
+"""`graspwatch run` and `graspwatch replay` without a service: the same acquisition and estimation, in one process."""
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from acquisition.acquisition_loop import AcquisitionController, EndedRun, RunOutcome, describe_release
+from acquisition.recordings.recording import RecordingSource
+from acquisition.safety.force_limiter import ForceLimiter
+from acquisition.safety_state_machine import Safety
+from acquisition.signals.pipeline import ConditioningPipeline
+from acquisition.tool_factory import open_tool
+from app.messages.wire import RunState
+from app.recordings.estimate_comparison import EstimateComparator, EstimateComparison
+from app.recordings.headless_recorder import HeadlessRecorder, create_run
+from app.recordings.mcap_writer import RecordingContext
+from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
+from estimator.estimate_block import GraspRecord
+from estimator.online_estimator import TissueEstimator
+from estimator.worker import to_threshold_update
+
+Progress = Callable[[float], None]
+
+
+@dataclass(slots=True)
+class RunSummary:
+    """What `--json` prints. SI units; None where there is no value."""
+
+    source: str
+    library: str
+    rate_hz: float
+    samples: int = 0
+    lost_samples: int = 0
+    grasps: list[GraspRecord] = field(default_factory=list)
+    releases: list[str] = field(default_factory=list)  # what is told of each grasp that the limiter let go
+    force_scale: str = ""  # by which scale forces are told, for people
+    failure: str | None = None  # why a run ended before its protocol
+    comparison: EstimateComparison | None = None  # of a replay with what was recorded
+
+    def document(self) -> dict[str, Any]:
+        document = {
+            "source": self.source,
+            "samples": self.samples,
+            "lost_samples": self.lost_samples,
+            "duration_s": (self.samples + self.lost_samples) / self.rate_hz,
+            "library": self.library,
+            "force_scale": self.force_scale,
+            "grasps": [asdict(grasp) for grasp in self.grasps],
+        }
+        if self.releases:
+            document["let_go"] = self.releases
+        if self.comparison:
+            document["recorded"] = self.comparison.document()
+        return document
+
+
+def run_protocol(
+    tool: Tool,
+    library: TissueLibrary,
+    settings: Settings,
+    protocol: GraspProtocol,
+    tissue: str,
+    *,
+    cycles: int,
+    seed: int,
+    real_time: bool,
+    recording_path: Path | None,
+    progress: Progress,
+) -> RunSummary:
+    """Play a protocol on the simulated grasper and identify what it grasps; `record` is the file to write, if any.
+
+    Raises:
+        RefusedError: the protocol passes the tool's limits.
+        ToolError: the board failed.
+        RecordingError: the file exists, or cannot be written.
+    """
+    report = RunSummary(f"{tool.name}:{tissue}", library.name, tool.board.sample_rate_hz, force_scale=tool.scale_text)
+    session = TissueEstimator(tool, library, settings)
+    source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
+    run_id = recording_path.stem if recording_path else "run"
+    rig = RecordingContext(tool, library, settings)
+    recorded = (
+        HeadlessRecorder(recording_path, rig, create_run(run_id, protocol.name, cycles, tissue), protocol)
+        if recording_path
+        else None
+    )
+    with source, recorded or contextlib.nullcontext() as file:
+        hold_back = ForceLimiter(tool, library, settings.limiter)
+        acquisition = AcquisitionController(source, tool, settings.conditioning, hold_back, Safety.ARMED)
+        acquisition.start(run_id, protocol, cycles)
+        ended: list[EndedRun] = []
+        while not ended:
+            block = acquisition.process_block()
+            assert block is not None, "a tool's samples have no end"
+            report.samples += len(block.samples)
+            report.lost_samples += block.lost_samples
+            estimate = session.process(block)
+            if file:
+                file.append(block, estimate)
+            report.grasps += estimate.ended
+            limit = to_threshold_update(estimate.identification)
+            acquisition.set_threshold(limit.threshold_n, limit.tick)
+            for why in acquisition.pop_release_reasons():
+                report.releases.append(describe_release(why))
+                if file:
+                    file.add_release_alarm(report.releases[-1])
+            ended = acquisition.pop_ended_runs()
+            progress(report.samples / tool.board.sample_rate_hz)
+        last = session.finish()
+        if file:
+            file.add_interrupted_grasp(last)
+            file.end_run(RunState(ended[0].end), ended[0].why)
+    if last:
+        report.grasps.append(last)
+    if ended[0].end is RunOutcome.FAILED:
+        report.failure = f"The run was ended early with the motor at zero: {ended[0].why}."
+    return report
+
+
+def replay_recording(recording: RecordingSource, recording_context: RecordingContext, progress: Progress) -> RunSummary:
+    """Take a recording through calibration, conditioning, estimation and identification.
+
+    Of a recorded run nothing but the run itself is taken, and its estimates are compared with those recorded.
+
+    Raises:
+        RecordingError: the file is damaged; names the place.
+    """
+    tool, library, settings = recording_context.tool, recording_context.library, recording_context.settings
+    report = RunSummary(str(recording.path), library.name, tool.board.sample_rate_hz, force_scale=tool.scale_text)
+    pipeline = ConditioningPipeline(tool, settings.conditioning)
+    session = TissueEstimator(tool, library, settings)
+    comparing = (
+        EstimateComparator(recording.mcap_file, recording_context, recording.first_tick)
+        if recording.mcap_file
+        else None
+    )
+    recording.skip_to_run()
+    with recording:
+        while (raw := recording.read_block()) is not None:
+            report.samples += len(raw)
+            report.lost_samples += raw.lost_samples
+            estimate = session.process(pipeline.process(raw))
+            report.grasps += estimate.ended
+            if comparing:
+                comparing.compare(estimate.estimates)
+            progress(report.samples / recording.sample_count)
+    if last := session.finish():
+        report.grasps.append(last)
+    report.comparison = comparing.result if comparing else None
+    return report

@@ -1,0 +1,130 @@
+"""Reads labelled recordings, and refuses what no library can be learned from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from app.analysis.learning.grasp_reader import read_grasps, recording_sha256
+from config.errors import ConfigurationError, RecordingError
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.learning.parameter_fit import compute_initial_guess
+from estimator.learning.recorded_grasps import (
+    LabeledRecording,
+    LoadingCurves,
+    estimate_usual_peak_v,
+    extract_loading_curves,
+)
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingSet:
+    """What there is to learn from."""
+
+    recordings: list[LabeledRecording]
+    curves: list[LoadingCurves]
+    peak_v: float
+    remarks: list[str]
+
+
+def load_training_set(
+    files: dict[str, list[Path]],
+    tool: Tool,
+    base: TissueLibrary,
+    settings: Settings,
+    min_grasps: int,
+    progress: Progress,
+) -> TrainingSet:
+    """Every grasp of the labelled files.
+
+    Raises:
+        RecordingError: a file cannot be read, or was recorded with another tool.
+        ConfigurationError: a recording under two labels, or too few grasps of some tissue.
+    """
+    unique, remarks = _remove_duplicates(files)
+    guess, total = compute_initial_guess(base), sum(map(len, unique.values()))
+    recordings: list[LabeledRecording] = []
+    for label, paths in unique.items():
+        for path in paths:
+            done = len(recordings)
+            recordings.append(
+                read_grasps(
+                    label, path, tool, settings, guess, lambda share, done=done: progress((done + share) / total)
+                )
+            )
+            _check_rest_voltage(recordings[-1], path, tool)
+    peak_v = estimate_usual_peak_v(recordings)
+    curves = [extract_loading_curves(each, tool, peak_v) for each in recordings] if np.isfinite(peak_v) else []
+    _check_grasp_counts(recordings, curves, min_grasps)
+    return TrainingSet(recordings, curves, peak_v, remarks)
+
+
+def _remove_duplicates(files: dict[str, list[Path]]) -> tuple[dict[str, list[Path]], list[str]]:
+    """Each recording once, whatever its names; a recording of two tissues is none."""
+    seen: dict[str, tuple[str, Path]] = {}
+    unique: dict[str, list[Path]] = {}
+    remarks = []
+    for label, paths in files.items():
+        for path in paths:
+            sha256 = recording_sha256(path)
+            if sha256 not in seen:
+                seen[sha256] = label, path
+                unique.setdefault(label, []).append(path)
+                continue
+            other, first = seen[sha256]
+            if other != label:
+                raise ConfigurationError(
+                    f"{path}: the same recording is labelled {other!r} (as {first}) and {label!r}. Keep the label that "
+                    "is right and leave the other out."
+                )
+            remarks.append(f"{path}: the same recording as {first}; it counts once.")
+    return unique, remarks
+
+
+def _check_rest_voltage(recording: LabeledRecording, path: Path, tool: Tool) -> None:
+    """A strain gage that rests elsewhere belongs to another tool, or to this one before it was calibrated."""
+    calibration = tool.calibration
+    lowest = [float(np.percentile(grasp.samples["strain_v"], 2)) for grasp in recording.grasps if len(grasp.samples)]
+    off_v = float(np.median(lowest)) - calibration.rest_offset_v if lowest else 0.0
+    if abs(off_v) > 2 * calibration.rest_tolerance_v:
+        raise RecordingError(
+            f"{path}: its strain gage rests at {calibration.rest_offset_v + off_v:.2f} V, that of {tool.name!r} at "
+            f"{calibration.rest_offset_v:.2f} V: it was recorded with another tool or calibration. A library is "
+            "learned from recordings of one tool: leave this one out, or name its tool file with --tool and learn it "
+            "apart."
+        )
+
+
+def _check_grasp_counts(recordings: list[LabeledRecording], curves: list[LoadingCurves], min_grasps: int) -> None:
+    """Refuse, saying of each tissue what is missing and why grasps did not count."""
+    missing = []
+    for label in dict.fromkeys(each.label for each in recordings):
+        own = [each for each in curves if each.recording.label == label]
+        sound = sum(len(each.features) for each in own)
+        if sound >= min_grasps:
+            continue
+        there = sum(len(each.grasps) for each in recordings if each.label == label)
+        missing.append(
+            f"{label}: {sound} grasps to learn from, {min_grasps - sound} missing ({_describe_exclusions(own, there)})"
+        )
+    if missing:
+        raise ConfigurationError(
+            f"Too few grasps; each tissue needs {min_grasps}:\n"
+            + "\n".join(missing)
+            + "\nAdd recordings of these tissues, "
+            "leave their labels out, or lower --least."
+        )
+
+
+def _describe_exclusions(curves: list[LoadingCurves], recorded_grasps: int) -> str:
+    if recorded_grasps == 0:
+        return "its recordings hold no grasp: the command never leaves zero"
+    reasons: dict[str, int] = {}
+    for text in (each for some in curves for each in some.left_out):
+        reason = text.partition(": ")[2]
+        reasons[reason] = reasons.get(reason, 0) + 1
+    left = "; ".join(f"{count} left out, {reason}" for reason, count in reasons.items())
+    return f"{recorded_grasps} recorded" + (f"; {left}" if left else "; no force rose in them")

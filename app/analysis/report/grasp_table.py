@@ -1,0 +1,123 @@
+"""The table of all grasps: what each was called, how sure and how soon, its parameters and its warnings."""
+
+import html
+
+from app.analysis.report.recording_analyzer import AnalyzedRecording
+from app.analysis.report.report import Report
+from app.analysis.report.sparkline import render_sparkline
+from app.analysis.report.statistics import Observation
+from app.analysis.report.tissue_styles import TissueStyle
+from estimator.decision import UNDECIDED
+from estimator.estimate_block import GraspRecord
+from estimator.studies.html_page import TEXT_CLASS_ATTRIBUTE, Markup, render_rows
+
+COLUMNS = [
+    "grasp",
+    "force",
+    "start, s",
+    "verdict",
+    "probability",
+    "decided after, ms",
+    "peak force, N",
+    "of the limit",
+    "peak displacement, mm",
+    "α, N",
+    "β, 1/m",
+    "d, kg/s",
+    "convergence, s",
+    "force error, N",
+    "warnings",
+    "remarks",
+]
+TEXT_COLUMNS = {"force", "start, s", "verdict", "probability", "warnings", "remarks"}
+
+
+def render_grasp_table(report: Report, drawn_count: int) -> str:
+    """As HTML; the first `drawn` grasps have a button that draws them."""
+    parts, number = [], 0
+    for story in report.recordings:
+        own = [(record, observation) for told_by, record, observation in report.grasps if told_by is story]
+        most_n = max((record.peak_force_n or 0.0 for record, _ in own), default=0.0)
+        lines = []
+        for record, observation in own:
+            button = f'data-grasp="{number}" aria-label="Grasp {record.index} of {html.escape(story.title)}"'
+            name = (
+                f'<button type="button" {button}>{record.index}</button>' if number < drawn_count else str(record.index)
+            )
+            lines.append([Markup(name), *_render_cells(report, story, record, observation, most_n)])
+            number += 1
+        if len(report.recordings) > 1:
+            title = html.escape(story.title)
+            parts.append(f'<tr><th scope="rowgroup" colspan="{len(COLUMNS)}">{title}</th></tr>')
+        parts.append(render_rows(lines))
+    head = "".join(
+        f'<th scope="col"{TEXT_CLASS_ATTRIBUTE if name in TEXT_COLUMNS else ""}>{html.escape(name)}</th>'
+        for name in COLUMNS
+    )
+    return (
+        '<div class="grasps" tabindex="0" role="group" aria-label="All grasps"><table><caption>Convergence and force '
+        "error are of the filter of what was held. Dashed in the force: the limit that the limiter enforced; no line "
+        "and no share of it where the recording does not say it.</caption>"
+        f"<thead><tr>{head}</tr></thead><tbody>{''.join(parts)}</tbody></table></div>"
+    )
+
+
+def _render_cells(
+    report: Report, recording: AnalyzedRecording, record: GraspRecord, observation: Observation, max_force_n: float
+) -> list:
+    traces = recording.grasp_traces(record)
+    drawn = render_sparkline(traces["tick"], traces["jaw_force_filtered_n"], traces["limit_n"], max_force_n)
+    decided, moved = record.time_to_decision_s, record.peak_displacement_m
+    return [
+        Markup(drawn),
+        f"{record.start_s:.3f}",
+        _render_verdict(report.tissue_styles[record.label]),
+        _format_percent(record.probability),
+        None if decided is None else round(1e3 * decided),
+        record.peak_force_n,
+        _format_percent_of_limit(record.peak_share_of_limit),
+        None if moved is None else 1e3 * moved,
+        record.alpha_n,
+        record.beta_per_m,
+        record.damping_kg_per_s,
+        observation.convergence_s,
+        observation.force_error_n,
+        _format_warnings(recording, record),
+        _format_remarks(report, recording, record, observation),
+    ]
+
+
+def _render_verdict(tissue_style: TissueStyle) -> Markup:
+    style = f"background: {tissue_style.color}; color: {tissue_style.text_color}"
+    return Markup(
+        f'<span class="mark" style="{style}">{tissue_style.abbreviation}</span> {html.escape(tissue_style.title)}'
+    )
+
+
+def _format_percent(share: float | None) -> str | None:
+    """Never all or nothing unless it is."""
+    if share is None:
+        return None
+    return "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
+
+
+def _format_percent_of_limit(share: float | None) -> str | None:
+    return None if share is None else f"{100 * share:.0f} %"
+
+
+def _format_warnings(recording: AnalyzedRecording, record: GraspRecord) -> str:
+    return ", ".join(f"{alarm.priority} ({alarm.force_n:.2f} N)" for alarm in recording.grasp_alarms(record))
+
+
+def _format_remarks(report: Report, recording: AnalyzedRecording, record: GraspRecord, observation: Observation) -> str:
+    said = [record.why_invalid] if record.why_invalid else []
+    if record.label == UNDECIDED and record.probabilities:
+        top, share = max(record.probabilities.items(), key=lambda each: each[1])
+        said.append(f"likeliest: {report.tissue_styles[top].title}, {_format_percent(share)}")
+    for one in recording.withdrawals:
+        if one.grasp == record.index:
+            after_s = one.tick / recording.rate_hz - record.start_s
+            said.append(f"{report.tissue_styles[one.label].title} withdrawn {after_s:.2f} s after its start")
+    if observation.diverged:
+        said.append(f"filter of {report.tissue_styles[observation.filter_tissue].title} diverged")
+    return "; ".join(said)

@@ -1,0 +1,60 @@
+"""How a tissue is told from the others: a colour by its place in the library, and letters, as on the dashboard."""
+
+from dataclasses import dataclass
+
+from config.schema import TissueLibrary
+from estimator.decision import UNDECIDED, UNKNOWN
+from estimator.force_alarms import Priority
+
+# Okabe and Ito's palette in the dashboard's order, and the colour of text on each
+TISSUE_COLORS = (
+    ("#56b4e9", "#000000"),
+    ("#e69f00", "#000000"),
+    ("#009e73", "#000000"),
+    ("#cc79a7", "#000000"),
+    ("#0072b2", "#ffffff"),
+    ("#f0e442", "#000000"),
+    ("#d55e00", "#000000"),
+)
+UNKNOWN_COLORS, UNDECIDED_COLORS = ("#808b94", "#000000"), ("#c3ccd4", "#000000")
+ALARM_COLORS = {Priority.LOW: "#00d5f0", Priority.MEDIUM: "#ffd400", Priority.HIGH: "#d40020"}
+
+
+@dataclass(frozen=True, slots=True)
+class TissueStyle:
+    """`on`: the colour of text on `colour`."""
+
+    name: str
+    title: str
+    abbreviation: str
+    color: str
+    text_color: str
+
+
+def build_tissue_styles(library: TissueLibrary, groups: tuple[str, ...] = ()) -> dict[str, TissueStyle]:
+    """Looks of the library's tissues, of *unknown* and *undecided*, and of other groups that a report names."""
+    titles = {name: profile.title for name, profile in library.tissues.items()}
+    others = [name for name in groups if name not in (*titles, UNKNOWN, UNDECIDED)]
+    titles |= {name: name.replace("_", " ").capitalize() for name in others}
+    looks = {
+        name: TissueStyle(
+            name, title, _abbreviate(title, [*titles.values()]), *TISSUE_COLORS[place % len(TISSUE_COLORS)]
+        )
+        for place, (name, title) in enumerate(titles.items())
+    }
+    looks[UNKNOWN] = TissueStyle(UNKNOWN, "Unknown", "?", *UNKNOWN_COLORS)
+    looks[UNDECIDED] = TissueStyle(UNDECIDED, "Undecided", "–", *UNDECIDED_COLORS)
+    return looks
+
+
+def _abbreviate(title: str, titles: list[str]) -> str:
+    """Initials, or as many letters of the title as no other one shares."""
+    others = [other for other in titles if other != title]
+    if _initials(title) not in map(_initials, others):
+        return _initials(title)
+    lengths = range(2, len(title))
+    return next((title[:n] for n in lengths if not any(other.startswith(title[:n]) for other in others)), title)
+
+
+def _initials(title: str) -> str:
+    return "".join(word[0].upper() for word in title.split())

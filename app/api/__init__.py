@@ -1,0 +1,1 @@
+"""What browsers and programs ask: the application and its routes."""

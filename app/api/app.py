@@ -1,0 +1,253 @@
+"""The web server: REST, WebSocket, metrics, documentation and the dashboard's files."""
+
+import asyncio
+import contextlib
+import logging
+import socket
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
+from fastapi_offline import FastAPIOffline
+from starlette.middleware.base import RequestResponseEndpoint
+
+from app import __version__
+from app.analysis.calibration_session import CalibrationSession
+from app.analysis.report.report_cache import ReportCache
+from app.analysis.study_runner import StudyRunner
+from app.api.recording_bin import RecordingBin
+from app.api.routes import (
+    alarms,
+    audit,
+    bin,
+    calibration,
+    control,
+    history,
+    live,
+    recordings,
+    runs,
+    session,
+    studies,
+    system,
+    tool,
+)
+from app.host.logs import LogContext, configure_logging
+from app.http import problems
+from app.http.audit_middleware import AuditMiddleware
+from app.http.connection_limiter import (
+    LingeringWebSocketProtocol,
+    TlsTimeoutEventLoop,
+    make_connection_limiter,
+    raise_open_file_limit,
+)
+from app.http.methods import HeadAsGetMiddleware
+from app.index.database import index_url_from_settings
+from app.index.opening import open_store_for_service
+from app.people.auth_middleware import AuthMiddleware
+from app.people.authenticator import Authenticator
+from app.people.authorization import PUBLIC_ROUTE
+from app.people.route_permissions import add_roles_to_openapi, collect_route_permissions, find_public_paths
+from app.recordings.catalog import RecordingCatalog
+from app.recordings.index_reader import RECORDING_READERS
+from app.recordings.replay.cache_store import ReplayCacheStore
+from app.service.demonstration import run_demo
+from app.service.journal_watch import JournalWatch
+from app.service.tool_service import ToolService
+from config.errors import ServiceError
+from config.service_plan import ServicePlan
+
+STATIC_FOLDER = Path(__file__).parents[1] / "static"
+TCP_USER_TIMEOUT_MS = 10_000
+DASHBOARD_PATHS = ("/", "/recordings", "/recordings/{name}", "/tissues", "/studies", "/system", "/calibration")
+DOCUMENTATION_PATHS = ("/docs", "/redoc", "/static-offline-docs")
+CONTENT_SECURITY_POLICY = (
+    "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
+DOCUMENTATION_SECURITY_POLICY = "default-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'"
+SECURITY_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+ROUTE_MODULES = (
+    runs,
+    control,
+    calibration,
+    session,
+    history,
+    audit,
+    alarms,
+    tool,
+    system,
+    studies,
+    recordings,
+    bin,
+    live,
+)
+ROUTERS = tuple(each.router for each in ROUTE_MODULES)
+MAX_WEBSOCKET_MESSAGE_BYTES = 65_536  # of a viewer
+SHUTDOWN_GRACE_S = 0.3
+"""At the end, for answers that are under way; a download that takes longer is cut."""
+
+
+def create_app(plan: ServicePlan) -> FastAPI:
+    """The application for a plan; its workers live as long as it does.
+
+    Raises:
+        GraspwatchError: the index cannot be opened, or the file of people not be read.
+    """
+    guard = Authenticator(plan)
+    store = open_store_for_service(
+        index_url_from_settings(plan.settings, plan.data_folder), plan.data_folder, RECORDING_READERS
+    )
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        station = app.state.station = ToolService(plan, store, app.state.about)
+        app.state.calibration = CalibrationSession(plan, station)
+        desk = StudyRunner(plan.studies_folder, lambda text, by: station.publish_event(text, by=by))
+        index = contextlib.aclosing(station.index_writer)  # closed last: whatever ends has something to tell
+        films, reports, shelf = ReplayCacheStore(plan), ReportCache(plan), contextlib.aclosing(RecordingCatalog(plan))
+        await station.start()
+        recording_bin = contextlib.aclosing(RecordingBin(plan, station, films, reports))
+        chain = contextlib.aclosing(JournalWatch(plan.data_folder, station.index_writer, station.alarms))
+        watch = asyncio.create_task(guard.watch_token_file(station))
+        station.supervise_task(watch)
+        demo = asyncio.create_task(run_demo(station)) if plan.demo_enabled else None
+        async with (
+            index,
+            desk as app.state.studies,
+            contextlib.aclosing(films) as app.state.films,
+            shelf as app.state.shelf,
+            contextlib.aclosing(reports) as app.state.reports,
+            chain as app.state.chain,
+            recording_bin as app.state.bin,
+        ):
+            try:
+                yield
+            finally:
+                watch.cancel()
+                if demo:
+                    demo.cancel()
+                await station.stop()
+
+    app = FastAPIOffline(
+        title="Graspwatch",
+        version=__version__,
+        description="Watches a laparoscopic grasper close on tissue. Research instrument, not a medical device.",
+        lifespan=lifespan,
+    )
+    app.state.guard, app.state.about = guard, LogContext()
+    rights = collect_route_permissions(ROUTERS)
+    add_roles_to_openapi(app, rights)
+    problems.add_error_handlers(app)
+    for router in ROUTERS:
+        app.include_router(router)
+    app.add_middleware(
+        AuthMiddleware,
+        authenticator=guard,
+        public_paths=find_public_paths(rights),
+        max_body_bytes=plan.settings.server.most_body_bytes,
+    )
+    app.middleware("http")(_add_security_headers)
+    app.add_middleware(AuditMiddleware)
+    app.add_middleware(HeadAsGetMiddleware)
+    if (STATIC_FOLDER / "index.html").is_file():
+        for page in DASHBOARD_PATHS:
+            app.get(page, dependencies=[PUBLIC_ROUTE], include_in_schema=False)(serve_dashboard_page)
+        app.mount("/", StaticFiles(directory=STATIC_FOLDER), name="dashboard")
+    else:
+        app.get("/", dependencies=[PUBLIC_ROUTE], include_in_schema=False)(serve_dashboard_missing)
+    return app
+
+
+async def serve_dashboard_page() -> FileResponse:
+    """Every page is the same document; it shows what its address says."""
+    return FileResponse(STATIC_FOLDER / "index.html", headers={"Cache-Control": "no-cache"})
+
+
+async def serve_dashboard_missing() -> Response:
+    return Response("The dashboard has not been built. Run `make dashboard`, then start again.", 503)
+
+
+async def _add_security_headers(request: Request, call_next: RequestResponseEndpoint) -> Response:
+    response = await call_next(request)
+    documentation = request.scope["path"].startswith(DOCUMENTATION_PATHS)  # its pages carry a script of their own
+    policy = DOCUMENTATION_SECURITY_POLICY if documentation else CONTENT_SECURITY_POLICY
+    response.headers.setdefault("Content-Security-Policy", policy)  # a route may have set a narrower one
+    if request.scope["path"].startswith("/api/"):
+        response.headers.setdefault("Cache-Control", "no-store")
+    response.headers.update(SECURITY_HEADERS)
+    return response
+
+
+def open_listener(host: str, port: int) -> socket.socket:
+    """A listening socket that gives up on readers that never read. An IPv6 address may stand in brackets.
+
+    Raises:
+        ServiceError: the port is taken or the address is not this machine's.
+    """
+    host = host.removeprefix("[").removesuffix("]")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(
+        family, socket.SOCK_STREAM, socket.IPPROTO_TCP
+    )  # unless TCP is named, asyncio lets Nagle wait
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, TCP_USER_TIMEOUT_MS)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise ServiceError(
+            f"Cannot listen on {host}, port {port}: {error.strerror}. Choose another with --port, or end the program "
+            "that uses it."
+        ) from None
+    listener.listen(128)
+    return listener
+
+
+def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
+    """Serve until SIGINT or SIGTERM."""
+    server = plan.settings.server
+    configure_logging(plan.settings.logs, plan.data_folder, app.state.about)
+    config = uvicorn.Config(
+        app,
+        http=make_connection_limiter(server.most_connections),
+        ws=LingeringWebSocketProtocol,
+        ws_per_message_deflate=False,
+        ws_max_size=MAX_WEBSOCKET_MESSAGE_BYTES,
+        ssl_certfile=server.tls_cert,
+        ssl_keyfile=server.tls_key,
+        server_header=False,
+        log_config=None,  # its loggers' lines go where all others do
+        log_level="warning",
+        access_log=False,
+        proxy_headers=False,  # who asks is whose address it is; what a proxy says of that is noted as said
+        timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
+    )
+    logging.getLogger("uvicorn.error").addFilter(_is_no_refused_handshake)
+    raise_open_file_limit()
+    with asyncio.Runner(loop_factory=TlsTimeoutEventLoop) as runner:
+        runner.run(_Server(config, app).serve(sockets=[listener]))
+
+
+class _Server(uvicorn.Server):
+    """Halts the tool before it waits for anybody's connection to end."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        super().__init__(config)
+        self._app = app
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await self._app.state.station.halt()
+        await super().shutdown(sockets)
+
+
+def _is_no_refused_handshake(record: logging.LogRecord) -> bool:
+    """uvicorn takes a WebSocket that was refused with an answer for a failure, and would say so for each of a flood."""
+    return "without completing handshake" not in record.getMessage()

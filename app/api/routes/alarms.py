@@ -1,0 +1,44 @@
+"""Alarms that are on, their acknowledgement, and the journal."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+
+from app.api.routes.runs import get_tool_service
+from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.messages.wire import AcknowledgeRequest, Alarm, JournalEntry, Role
+from app.people.authorization import require_requester_name, require_role
+from config.errors import RefusedError
+
+router = APIRouter(prefix="/api", tags=["alarms"])
+
+
+@router.get("/alarms", dependencies=[require_role(Role.VIEWER)])
+async def alarms(request: Request) -> list[Alarm]:
+    """Alarms whose cause is there, and those that stay until somebody has acknowledged them."""
+    return get_tool_service(request).alarms.current_alarms()
+
+
+@router.post(
+    "/alarms/{alarm_id}/acknowledge",
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={
+        404: {"description": "No such alarm", **PROBLEM_RESPONSE},
+        409: {"description": "Worse by now", **PROBLEM_RESPONSE},
+    },
+)
+async def acknowledge(request: Request, alarm_id: str, body: AcknowledgeRequest) -> Alarm:
+    """Somebody has seen an alarm: it falls silent on every page, and stays in sight until its cause is gone."""
+    by = require_requester_name(request, body.by)
+    try:
+        return await get_tool_service(request).arming.acknowledge(alarm_id, body.priority, by)
+    except RefusedError as error:
+        status = HTTPStatus.NOT_FOUND if error.field == "id" else HTTPStatus.CONFLICT
+        raise ProblemError(status, str(error)) from None
+
+
+@router.get("/journal", dependencies=[require_role(Role.VIEWER)])
+async def journal(request: Request, most: Annotated[int, Query(ge=1, le=2000)] = 200) -> list[JournalEntry]:
+    """What happened and who did it since the service started, newest first."""
+    return get_tool_service(request).journal.newest_entries(most)

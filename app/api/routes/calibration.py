@@ -1,0 +1,83 @@
+"""Calibration of the tool, reading by reading."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Request
+
+from app.analysis.calibration_session import CalibrationSession
+from app.api.routes.control import acquire_control
+from app.api.routes.runs import check_has_tool, get_tool_service
+from app.http.audit_middleware import note_request
+from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.messages.wire import Calibration, CalibrationRequest, Role
+from app.people.authorization import requester_name, require_role
+from config.errors import CalibrationError, ConfigurationError, RefusedError, ServiceError
+
+router = APIRouter(prefix="/api/calibration", tags=["calibration"])
+CONFLICT_RESPONSE = {
+    409: {"description": "Not now, or it cannot be trusted; the text says what to do", **PROBLEM_RESPONSE}
+}
+
+
+def _get_calibration_session(request: Request) -> CalibrationSession:
+    return request.app.state.calibration
+
+
+@router.get("", dependencies=[require_role(Role.VIEWER)])
+async def calibration(request: Request) -> Calibration:
+    """The calibration under way, or the last one."""
+    return _get_calibration_session(request).state
+
+
+@router.post(
+    "",
+    dependencies=[require_role(Role.OPERATOR)],
+    status_code=HTTPStatus.CREATED,
+    responses=CONFLICT_RESPONSE | {503: {"description": "The new tool file could not be written", **PROBLEM_RESPONSE}},
+)
+async def begin(request: Request, body: Annotated[CalibrationRequest, Body()]) -> Calibration:
+    """Begin one. Nothing moves yet."""
+    note_request(request, description=f"Begin calibration of {body.what}")
+    check_has_tool(get_tool_service(request))
+    acquire_control(request)
+    try:
+        _get_calibration_session(request).begin(body)
+    except CalibrationError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "values") from None
+    except RefusedError as error:
+        raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
+    except ConfigurationError as error:
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+    return _get_calibration_session(request).state
+
+
+@router.post(
+    "/reading",
+    dependencies=[require_role(Role.OPERATOR)],
+    responses=CONFLICT_RESPONSE | {503: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
+)
+async def read(request: Request) -> Calibration:
+    """Take the next reading; answers when it is taken. For `stretch` and `geometry` the jaws close gently."""
+    note_request(request, description="Take a reading for a calibration")
+    check_has_tool(get_tool_service(request))
+    acquire_control(request)
+    try:
+        await _get_calibration_session(request).take_reading(requester_name(request, None))
+    except (CalibrationError, RefusedError) as error:
+        raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
+    except (ServiceError, ConfigurationError) as error:
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+    return _get_calibration_session(request).state
+
+
+@router.delete("", dependencies=[require_role(Role.OPERATOR)], responses=CONFLICT_RESPONSE)
+async def abandon(request: Request) -> Calibration:
+    """Forget the one under way. Nothing is written."""
+    check_has_tool(get_tool_service(request))
+    acquire_control(request)
+    try:
+        _get_calibration_session(request).discard()
+    except RefusedError as error:
+        raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
+    return _get_calibration_session(request).state

@@ -1,0 +1,80 @@
+"""Control of the tool: who has it, taking it, taking it over, giving it back."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Request
+
+from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.messages.wire import ControlInfo, ControlRequest, JournalKind, Role
+from app.people.authorization import get_user, require_role
+from app.service.tool_service import ToolService
+from config.errors import RefusedError
+
+router = APIRouter(prefix="/api/control", tags=["control"])
+NO_TOKENS_TEXT = "Without tokens nobody needs control. Make them with `graspwatch token add NAME --role operator`."
+
+
+def acquire_control(request: Request, *, take_over: bool = False) -> None:
+    """Have whoever asks in control before he moves the tool. Without tokens nobody needs to be.
+
+    Raises:
+        ProblemError: somebody else has control.
+    """
+    who, station = get_user(request), _get_tool_service(request)
+    if who is None or who.name is None:
+        return
+    try:
+        before = station.control_lease.acquire(who.name, take_over=take_over)
+    except RefusedError as error:
+        raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
+    if before != who.name:
+        taken = f"Control taken over from {before}" if before else "Control taken"
+        station.publish_event(taken, JournalKind.ACCESS, who.name)
+        station.publish_state()
+
+
+@router.get("", dependencies=[require_role(Role.VIEWER)])
+async def control(request: Request) -> ControlInfo:
+    """Who has control."""
+    lease = _get_tool_service(request).control_lease
+    return ControlInfo(holder=lease.holder, expires_in_s=lease.expires_in_s)
+
+
+@router.post(
+    "",
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
+)
+async def take(request: Request, body: Annotated[ControlRequest, Body()]) -> ControlInfo:
+    """Take control, or keep it for longer. A start does the same; only this can take it over from somebody else."""
+    _require_user_name(request)
+    acquire_control(request, take_over=body.take_over)
+    return await control(request)
+
+
+@router.delete(
+    "",
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
+)
+async def give_back(request: Request) -> ControlInfo:
+    """Give control back. Who does not have it changes nothing, unless somebody else does."""
+    name, station = _require_user_name(request), _get_tool_service(request)
+    if not station.release_control(name) and station.control_lease.holder:
+        raise ProblemError(
+            HTTPStatus.CONFLICT, f"{station.control_lease.holder} has control, and only he can give it back."
+        )
+    return await control(request)
+
+
+def _require_user_name(request: Request) -> str:
+    """The name of whoever asks."""
+    who = get_user(request)
+    if who is None or who.name is None:
+        raise ProblemError(HTTPStatus.CONFLICT, NO_TOKENS_TEXT)
+    return who.name
+
+
+def _get_tool_service(request: Request) -> ToolService:
+    return request.app.state.station

@@ -1,0 +1,57 @@
+"""What has happened, also before this service: grasps, alarms, audit and files, from the index."""
+
+from typing import Annotated, TypeVar
+
+from fastapi import APIRouter, Query, Request, Response
+
+from app.api.routes.runs import get_tool_service
+from app.http.pagination import set_paging_headers
+from app.http.problems import PROBLEM_RESPONSE
+from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery
+from app.index.store import Page
+from app.messages.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Role
+from app.people.authorization import require_role
+
+router = APIRouter(prefix="/api", tags=["history"], responses={503: {"description": "No index", **PROBLEM_RESPONSE}})
+T = TypeVar("T")
+
+
+@router.get("/grasps", dependencies=[require_role(Role.VIEWER)])
+async def grasps(request: Request, response: Response, query: Annotated[GraspQuery, Query()]) -> list[GraspEnded]:
+    """Grasps of all runs, newest first."""
+    found = await get_tool_service(request).index_writer.query(
+        get_tool_service(request).index_writer.store.find_grasps, query
+    )
+    return _return_page(request, response, query, found)
+
+
+@router.get("/alarms/history", dependencies=[require_role(Role.VIEWER)])
+async def alarms(request: Request, response: Response, query: Annotated[AlarmQuery, Query()]) -> list[Alarm]:
+    """Alarms that were on or are, each as it was last, newest first."""
+    found = await get_tool_service(request).index_writer.query(
+        get_tool_service(request).index_writer.store.find_alarms, query
+    )
+    return _return_page(request, response, query, found)
+
+
+@router.get("/audit", dependencies=[require_role(Role.VIEWER)])
+async def audit(request: Request, response: Response, query: Annotated[AuditQuery, Query()]) -> list[JournalEntry]:
+    """Every line of the journal, newest first: what happened and who did it."""
+    found = await get_tool_service(request).index_writer.query(
+        get_tool_service(request).index_writer.store.find_audit_entries, query
+    )
+    return _return_page(request, response, query, found)
+
+
+@router.get("/files", dependencies=[require_role(Role.VIEWER)])
+async def files(request: Request, response: Response, query: Annotated[FileQuery, Query()]) -> list[FileRecord]:
+    """Recordings of runs, newest first, also deleted ones with who deleted them."""
+    found = await get_tool_service(request).index_writer.query(
+        get_tool_service(request).index_writer.store.find_files, query
+    )
+    return _return_page(request, response, query, found)
+
+
+def _return_page(request: Request, response: Response, query: PageQuery, page: Page[T]) -> list[T]:
+    set_paging_headers(request, response, query.limit, query.offset, page.total)
+    return page.items

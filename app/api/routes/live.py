@@ -1,0 +1,21 @@
+"""The live stream."""
+
+from fastapi import APIRouter, WebSocket
+
+from app.messages.wire import Role
+from app.people.authorization import require_role
+from app.service.tool_service import ToolService
+
+router = APIRouter()
+
+
+@router.websocket("/api/live", dependencies=[require_role(Role.VIEWER)])
+async def live(socket: WebSocket) -> None:
+    """Hello, the last seconds, then everything as it happens; see app/messages/wire.py."""
+    station: ToolService = socket.app.state.station
+    await socket.accept()
+    if len(station.viewer_hub.viewers) >= station.plan.settings.server.max_viewers:
+        await socket.close(1013, "too many viewers; try again later")
+        return
+    messages, history = station.initial_messages()
+    await station.viewer_hub.serve_viewer(socket, messages, history)

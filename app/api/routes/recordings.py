@@ -1,0 +1,175 @@
+"""Recordings: the list, the files, and replays."""
+
+from datetime import datetime
+from functools import partial
+from http import HTTPStatus
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response, WebSocket
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
+
+from app.analysis.report.report_cache import ReportCache
+from app.api.recording_bin import RecordingBin
+from app.api.routes.studies import REPORT_POLICY
+from app.http.audit_middleware import describe_client
+from app.http.pagination import set_paging_headers
+from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.index.queries import RecordingQuery
+from app.messages.wire import PersonName, RecordingInfo, Recordings, ReportProgress, Result, Role
+from app.people.authorization import require_requester_name, require_role
+from app.recordings.catalog import RecordingCatalog
+from app.recordings.replay.cache_store import ReplayCacheStore
+from app.recordings.replay.player import ReplayConnection, close_with_error
+from app.service.tool_service import ToolService
+from app.stream.viewers import Viewer
+from config.errors import GraspwatchError, RecordingError, RefusedError
+
+router = APIRouter(prefix="/api/recordings", tags=["recordings"])
+WAITING_PAGE = Path(__file__).with_name("waiting.html")
+WAITING_PAGE_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; img-src 'self'"
+)
+
+
+@router.get("", dependencies=[require_role(Role.VIEWER)])
+async def recordings(request: Request, response: Response, query: Annotated[RecordingQuery, Query()]) -> Recordings:
+    """What can be replayed. Durations are null until the file has been read: ask again in a second."""
+    shelf: RecordingCatalog = request.app.state.shelf
+    listing = await shelf.list_recordings()
+    found = [recording for recording in listing.recordings if _matches(recording, query)]
+    limit = query.limit or max(len(found), 1)
+    set_paging_headers(request, response, limit, query.offset, len(found))
+    return listing.model_copy(update={"recordings": found[query.offset : query.offset + limit]})
+
+
+def _matches(recording: RecordingInfo, query: RecordingQuery) -> bool:
+    modified = datetime.fromisoformat(recording.modified_at)
+    return (
+        (query.q is None or query.q.casefold() in recording.name.casefold())
+        and (query.since is None or modified >= query.since)
+        and (query.until is None or modified < query.until)
+    )
+
+
+@router.get(
+    "/{name}/file",
+    dependencies=[require_role(Role.VIEWER)],
+    response_class=FileResponse,
+    responses={
+        206: {"description": "The part that `Range` asked for"},
+        404: {"description": "No such recording", **PROBLEM_RESPONSE},
+        416: {"description": "There is no such part"},
+    },
+)
+async def file(request: Request, name: str) -> FileResponse:
+    """The recording as it is on the disk, or a part of it (`Range`, `If-Range`)."""
+    return FileResponse(await _find_path(request, name), media_type="application/octet-stream", filename=name)
+
+
+async def _find_path(request: Request, name: str) -> Path:
+    shelf: RecordingCatalog = request.app.state.shelf
+    try:
+        return await shelf.find_path(name)
+    except RefusedError as error:
+        raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
+
+
+@router.delete(
+    "/{name}",
+    dependencies=[require_role(Role.ADMIN)],
+    status_code=HTTPStatus.NO_CONTENT,
+    responses={
+        403: {"description": "Not an admin", **PROBLEM_RESPONSE},
+        404: {"description": "No such recording", **PROBLEM_RESPONSE},
+        409: {"description": "In use", **PROBLEM_RESPONSE},
+        503: {"description": "It cannot be deleted, or not be written down", **PROBLEM_RESPONSE},
+    },
+)
+async def delete(
+    request: Request,
+    name: str,
+    by: Annotated[PersonName | None, Query(description="Who deletes it; whoever is signed in may leave it out")] = None,
+) -> None:
+    """Delete a recording: only an admin may. It lies in the bin for a while, from where it can be restored; the journal
+    and the index keep who did it."""
+    by = require_requester_name(request, by)
+    path = await _find_path(request, name)
+    _check_not_in_use(request, path)
+    bin_: RecordingBin = request.app.state.bin
+    await bin_.delete(path, by)
+
+
+def _check_not_in_use(request: Request, path: Path) -> None:
+    station: ToolService = request.app.state.station
+    shelf: RecordingCatalog = request.app.state.shelf
+    films: ReplayCacheStore = request.app.state.films
+    if Path(station.recorder_link.state.file or "").name == path.name:
+        why = "it is being recorded. Stop the run first."
+    elif shelf.is_opened(path):
+        why = "it was opened on the command line. End that service first."
+    elif films.is_watched(path):
+        why = "somebody is watching it. Close its replay first."
+    else:
+        return
+    raise ProblemError(HTTPStatus.CONFLICT, f"{path.name} is in use: {why}")
+
+
+@router.get(
+    "/{name}/report",
+    dependencies=[require_role(Role.VIEWER)],
+    response_class=HTMLResponse,
+    responses={
+        200: {"description": "The page, self-contained"},
+        202: {"description": "It is being made: how far it is, or a page that waits for it", "model": ReportProgress},
+        404: {"description": "No such recording", **PROBLEM_RESPONSE},
+        422: {"description": "The recording cannot be read", **PROBLEM_RESPONSE},
+        503: {"description": "Too many reports are being made", **PROBLEM_RESPONSE},
+    },
+)
+async def report(request: Request, name: str) -> Response:
+    """The recording's report. It is made when it is first asked for, which takes a second for half a minute of it.
+
+    Ask again until the answer is no more 202; a browser gets a page that does so.
+    """
+    reports: ReportCache = request.app.state.reports
+    path = await _find_path(request, name)
+    station: ToolService = request.app.state.station
+    note = partial(station.journal.write_request, "report", f"Make report of {name}", client=describe_client(request))
+    try:
+        made = await reports.request_report(path, partial(note, result=Result.DONE))
+    except RecordingError as error:
+        note(result=Result.FAILED, reason=str(error))
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error)) from None
+    except RefusedError as error:
+        note(result=Result.REFUSED, reason=str(error))
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+    fresh = {"Cache-Control": "no-store", "Vary": "Accept"}
+    if isinstance(made, Path):
+        policy = {"Content-Security-Policy": REPORT_POLICY}
+        return FileResponse(made, media_type="text/html", headers=fresh | policy)
+    if "text/html" in request.headers.get("accept", ""):
+        policy = {"Content-Security-Policy": WAITING_PAGE_POLICY}
+        return HTMLResponse(WAITING_PAGE.read_text(encoding="utf-8"), HTTPStatus.ACCEPTED, fresh | policy)
+    return JSONResponse(ReportProgress(done=made).model_dump(), HTTPStatus.ACCEPTED, fresh)
+
+
+@router.websocket("/{name}/replay", dependencies=[require_role(Role.VIEWER)])
+async def replay(socket: WebSocket, name: str) -> None:
+    """The recording as it would have been seen live, with pause, seek and speed; see app/messages/wire.py."""
+    station: ToolService = socket.app.state.station
+    films: ReplayCacheStore = socket.app.state.films
+    shelf: RecordingCatalog = socket.app.state.shelf
+    server = station.plan.settings.server
+    await socket.accept()
+    try:
+        path = await shelf.find_path(name)
+        if films.viewers >= server.max_viewers:
+            await socket.close(1013, "too many viewers; try again later")
+            return
+        with films.open_entry(path) as showing:
+            await ReplayConnection(station.plan, name, showing, socket).serve()
+    except GraspwatchError as error:
+        viewer = Viewer(socket, server.chart_window_frames)
+        close_with_error(viewer, error)
+        await viewer.serve()

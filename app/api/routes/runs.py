@@ -1,0 +1,231 @@
+"""Runs: start, stop, look up."""
+
+import asyncio
+import contextlib
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Query, Request, Response
+from pydantic import ValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+
+from acquisition.protocol_player import ProtocolPlayer
+from acquisition.safety_state_machine import Safety
+from app.api.routes.control import acquire_control
+from app.http.audit_middleware import note_request
+from app.http.pagination import set_paging_headers
+from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.index.queries import RunQuery
+from app.messages.wire import ArmRequest, Grasp, Phase, Role, Run, RunRequest, SafetyReport, StopAnswer, StopRequest
+from app.people.authorization import get_user, requester_name, require_role
+from app.service.tool_service import ToolService
+from config.errors import ConfigurationError, RefusedError, ServiceError
+from config.load import build_graspable_library, list_shipped_names, load_protocol, require_known_name
+from config.schema import ToolKind
+
+router = APIRouter(prefix="/api", tags=["runs"])
+STOP_BODY_TIMEOUT_S = 0.1
+STOP_OPENAPI_BODY = {"requestBody": {"content": {"application/json": {"schema": StopRequest.model_json_schema()}}}}
+RUN_NOT_FOUND_RESPONSE = {404: {"description": "No such run", **PROBLEM_RESPONSE}}
+
+
+def get_tool_service(request: Request) -> ToolService:
+    return request.app.state.station
+
+
+@router.post(
+    "/runs",
+    dependencies=[require_role(Role.OPERATOR)],
+    status_code=HTTPStatus.CREATED,
+    responses={
+        409: {"description": "A run is under way, or somebody else has control", **PROBLEM_RESPONSE},
+        422: {"description": "A field is at fault", **PROBLEM_RESPONSE},
+        503: {"description": "The tool does not answer", **PROBLEM_RESPONSE},
+    },
+)
+async def start_run(request: Request, body: Annotated[RunRequest, Body()]) -> Run:
+    """Start a protocol on the tool."""
+    note_request(request, description=f"Start run {body.protocol}" + (f" on {body.tissue}" if body.tissue else ""))
+    station = get_tool_service(request)
+    check_has_tool(station)
+    override = _unmeasured_scale_reason(request, body.unmeasured_scale)
+    try:
+        protocol = load_protocol(require_known_name(body.protocol, list_shipped_names("protocols"), "protocol"))
+    except ConfigurationError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "protocol") from None
+    cycles = body.cycles or protocol.cycles
+    _check_tissue(station, body.tissue)
+    try:
+        ProtocolPlayer(protocol, station.plan.tool, cycles)
+    except RefusedError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), error.field) from None
+    acquire_control(request)
+    await _end_demo_and_check_idle(station)
+    by = requester_name(request, body.by)
+    try:
+        return await station.start_run(protocol, cycles, body.tissue or station.simulated_tissue, by, override)
+    except ServiceError as error:
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+
+
+def _unmeasured_scale_reason(request: Request, reason: str | None) -> str:
+    """Why a tool may be armed whose force scale is not measured; empty where nobody says so or it needs no reason.
+
+    Raises:
+        ProblemError: somebody gives a reason who is no admin.
+    """
+    if reason is None or get_tool_service(request).plan.tool.has_known_scale:
+        return ""
+    who = get_user(request)
+    if who is None or not who.role.includes(Role.ADMIN):
+        detail = "Only an admin may arm a tool whose force scale is not measured."
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "unmeasured_scale")
+    return reason
+
+
+async def _end_demo_and_check_idle(tool_service: ToolService) -> None:
+    """A person ends the demonstration by starting a run; any other run under way, or a tool not ready, refuses one."""
+    current = tool_service.runs.current
+    if current and tool_service.demo_text:
+        await tool_service.stop_run("the demonstration was ended by a run")
+        current = tool_service.runs.current
+    tool_service.demo_text = None
+    if current:
+        raise ProblemError(HTTPStatus.CONFLICT, f"Run {current.id} is under way. Stop it first.")
+    if tool_service.phase is not Phase.IDLE:
+        texts = "; ".join(tool_service.alarms.technical_alarm_texts()) or "wait"
+        detail = f"The tool is not ready ({tool_service.phase.value}): {texts}"
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail)
+
+
+def _check_tissue(tool_service: ToolService, tissue: str | None) -> None:
+    if tissue is None:
+        return
+    if tool_service.plan.tool.kind is not ToolKind.SIMULATED:
+        detail = "Only the simulated grasper can be told what it holds. Leave `tissue` out."
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "tissue")
+    try:
+        require_known_name(tissue, list(build_graspable_library(tool_service.plan.library).tissues), "tissue")
+    except ConfigurationError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "tissue") from None
+
+
+@router.post(
+    "/arm",
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={409: {"description": "It cannot be armed", **PROBLEM_RESPONSE}},
+)
+async def arm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
+    """Tare the tool and test it at rest, so that it may move. A start does so itself, unless the settings forbid it."""
+    station = get_tool_service(request)
+    check_has_tool(station)
+    body = body or ArmRequest()
+    override = _unmeasured_scale_reason(request, body.unmeasured_scale)
+    acquire_control(request)
+    await station.arming.arm(requester_name(request, body.by), override)
+    return SafetyReport(safety=station.arming.safety)
+
+
+@router.post(
+    "/disarm",
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={409: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
+)
+async def disarm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
+    """Motor to zero, and nothing starts before the tool is armed again; a run under way is stopped."""
+    station = get_tool_service(request)
+    check_has_tool(station)
+    acquire_control(request)
+    await station.arming.disarm(requester_name(request, body.by if body else None))
+    return SafetyReport(safety=Safety.DISARMED)
+
+
+def check_has_tool(tool_service: ToolService) -> None:
+    """
+    Raises:
+        ProblemError: there is none.
+    """
+    if tool_service.plan.opened_recordings:
+        raise ProblemError(HTTPStatus.CONFLICT, "This service only shows recordings: there is no tool to run.")
+
+
+@router.get(
+    "/runs", dependencies=[require_role(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM_RESPONSE}}
+)
+async def list_runs(request: Request, response: Response, query: Annotated[RunQuery, Query()]) -> list[Run]:
+    """Runs of this service and earlier ones, oldest first; how many there are on all is in `X-Total-Count`."""
+    station = get_tool_service(request)
+    found = await station.index_writer.query(station.index_writer.store.find_runs, query)
+    set_paging_headers(request, response, query.limit, query.offset, found.total)
+    return [station.runs.get(run.id) or run for run in found.items]
+
+
+@router.get("/runs/{run_id}", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
+async def get_run(request: Request, run_id: str) -> Run:
+    """One run."""
+    station = get_tool_service(request)
+    run = station.runs.get(run_id) or await station.index_writer.query(station.index_writer.store.get_run, run_id)
+    if run is None:
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no run {run_id!r}. GET /api/runs lists them.")
+    return run
+
+
+@router.get("/runs/{run_id}/grasps", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
+async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
+    """The finished grasps of a run."""
+    await get_run(request, run_id)
+    station = get_tool_service(request)
+    if station.runs.get(run_id):
+        return station.runs.list_grasps(run_id)
+    return await station.index_writer.query(station.index_writer.store.list_run_grasps, run_id)
+
+
+async def _read_requester_name(request: Request) -> str | None:
+    """Whom the body names, if it names anybody and comes at all."""
+    said = None
+    with contextlib.suppress(TimeoutError, ValidationError, HTTPException, ClientDisconnect):
+        async with asyncio.timeout(STOP_BODY_TIMEOUT_S):
+            said = StopRequest.model_validate_json(await request.body() or "{}").by
+    return requester_name(request, said)
+
+
+@router.post(
+    "/runs/{run_id}/stop",
+    dependencies=[require_role(Role.VIEWER)],
+    responses=RUN_NOT_FOUND_RESPONSE,
+    openapi_extra=STOP_OPENAPI_BODY,
+)
+async def stop_run(request: Request, run_id: str) -> StopAnswer:
+    """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
+    current = get_tool_service(request).runs.current
+    if current is None or current.id != run_id:
+        await _read_requester_name(request)  # for the journal
+        return StopAnswer(stopped=False, run=await get_run(request, run_id))
+    return await _stop_motor(request)
+
+
+@router.post(
+    "/stop",
+    dependencies=[require_role(Role.VIEWER)],
+    responses={503: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
+    openapi_extra=STOP_OPENAPI_BODY,
+)
+async def stop(request: Request) -> StopAnswer:
+    """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
+    return await _stop_motor(request)
+
+
+async def _stop_motor(request: Request) -> StopAnswer:
+    """The motor first; then whatever stands in the request is read."""
+    station = get_tool_service(request)
+    station.demo_text = None
+    before = station.runs.current
+    try:
+        stopped = await station.stop_run("asked to stop", lambda: _read_requester_name(request))
+    except ServiceError as error:
+        detail = f"{error} Switch the motor's amplifier off by hand."
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
+    run = station.runs.get(before.id) if before else None
+    station.publish_state()
+    return StopAnswer(stopped=stopped, run=run)

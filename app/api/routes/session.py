@@ -1,0 +1,75 @@
+"""Signing in and out of a browser."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Request, Response
+
+from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.http.request_origin import is_encrypted
+from app.messages.wire import SessionInfo, SignIn
+from app.people.authenticator import Authenticator, session_cookie_name
+from app.people.authorization import PUBLIC_ROUTE, AuthenticatedUser, get_user
+from app.people.tokens import hash_secret
+
+router = APIRouter(prefix="/api/session", tags=["session"])
+NO_TOKENS_TEXT = (
+    "This service has no tokens: nobody needs to sign in. Make them with `graspwatch token add NAME --role ROLE`."
+)
+
+
+@router.get("", dependencies=[PUBLIC_ROUTE])
+async def session(request: Request) -> SessionInfo:
+    """Who asks, and whether signing in is needed."""
+    return _build_session_info(_get_authenticator(request), get_user(request))
+
+
+@router.post(
+    "",
+    dependencies=[PUBLIC_ROUTE],
+    responses={
+        401: {"description": "The token is not good", **PROBLEM_RESPONSE},
+        409: {"description": "There are no tokens", **PROBLEM_RESPONSE},
+        429: {"description": "Too many wrong ones", **PROBLEM_RESPONSE},
+    },
+)
+async def sign_in(request: Request, response: Response, body: Annotated[SignIn, Body()]) -> SessionInfo:
+    """Exchange a token for a cookie. Programs do not need one: they send the token with each request."""
+    guard = _get_authenticator(request)
+    if not guard.token_store.requires_token:
+        raise ProblemError(HTTPStatus.CONFLICT, NO_TOKENS_TEXT)
+    entry = guard.check_token(request, body.token.strip())
+    _end_browser_session(request)
+    secret = guard.browser_sessions.begin(entry.sha256)
+    encrypted = is_encrypted(request, guard.server_settings)
+    response.set_cookie(session_cookie_name(request), secret, httponly=True, samesite="strict", secure=encrypted)
+    guard.write_access_entry(f"Signed in as {entry.role.value}", entry.name)
+    return _build_session_info(guard, AuthenticatedUser(entry.role, entry.name, entry.sha256, hash_secret(secret)))
+
+
+@router.delete("", status_code=HTTPStatus.NO_CONTENT, dependencies=[PUBLIC_ROUTE])
+async def sign_out(request: Request, response: Response) -> None:
+    """End this browser's session, with all that it has open."""
+    _end_browser_session(request)
+    response.delete_cookie(session_cookie_name(request), httponly=True, samesite="strict")
+
+
+def _end_browser_session(request: Request) -> None:
+    """The session that the request came with, if any."""
+    guard, who = _get_authenticator(request), get_user(request)
+    if who and who.session_hash:
+        guard.browser_sessions.end(who.session_hash)
+        guard.close_unauthorized()
+        guard.write_access_entry("Signed out", who.name)
+
+
+def _build_session_info(authenticator: Authenticator, user: AuthenticatedUser | None) -> SessionInfo:
+    return SessionInfo(
+        needed=authenticator.token_store.requires_token,
+        name=user.name if user else None,
+        role=user.role if user else None,
+    )
+
+
+def _get_authenticator(request: Request) -> Authenticator:
+    return request.app.state.guard

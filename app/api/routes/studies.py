@@ -1,0 +1,125 @@
+"""Studies: start, stop, look up, read the report."""
+
+from http import HTTPStatus
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Request
+from fastapi.responses import FileResponse
+
+from app.analysis.study_runner import StudyRunner
+from app.http.audit_middleware import note_request
+from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.messages.wire import Role, StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
+from app.people.authorization import requester_name, require_role
+from config.errors import ConfigurationError, RefusedError, ServiceError
+from config.load import require_known_name
+from estimator.studies.catalog import STUDIES, StudyDefinition
+from estimator.studies.html_page import CONTENT_SECURITY_POLICY
+
+router = APIRouter(prefix="/api/studies", tags=["studies"])
+STUDY_NOT_FOUND_RESPONSE = {404: {"description": "No such study, or nothing to show yet", **PROBLEM_RESPONSE}}
+
+# The sandbox makes the page a stranger to the dashboard, so that it could not stop a tool.
+REPORT_POLICY = f"{CONTENT_SECURITY_POLICY}; sandbox allow-scripts allow-downloads"
+
+
+def get_study_runner(request: Request) -> StudyRunner:
+    return request.app.state.studies
+
+
+@router.get("", dependencies=[require_role(Role.VIEWER)])
+async def list_studies(request: Request) -> Studies:
+    """What can be studied, and what has been, newest first."""
+    desk = get_study_runner(request)
+    available = [
+        StudyInfo(name=entry.name, title=entry.title, grasps=entry.default_count, most_grasps=entry.max_count)
+        for entry in STUDIES.values()
+    ]
+    return Studies(folder=str(desk.folder), available=available, runs=desk.list_runs())
+
+
+@router.post(
+    "",
+    dependencies=[require_role(Role.OPERATOR)],
+    status_code=HTTPStatus.CREATED,
+    responses={
+        409: {"description": "A study is under way", **PROBLEM_RESPONSE},
+        422: {"description": "A field is at fault", **PROBLEM_RESPONSE},
+        503: {"description": "The folder of studies cannot be written", **PROBLEM_RESPONSE},
+    },
+)
+async def start_study(request: Request, body: Annotated[StudyRequest, Body()]) -> StudyRun:
+    """Start a study. It leaves one core to a live tool, and gives way to it on the others."""
+    note_request(request, description=f"Start study {body.study}, seed {body.seed}")
+    entry = _find_study(body.study)
+    grasps = body.grasps or entry.default_count
+    if grasps > entry.max_count:
+        detail = f"The study {entry.name} takes at most {entry.max_count}."
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "grasps")
+    try:
+        return get_study_runner(request).start(entry, grasps, body.seed, requester_name(request, body.by))
+    except RefusedError as error:
+        raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
+    except ServiceError as error:
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+
+
+def _find_study(name: str) -> StudyDefinition:
+    try:
+        return STUDIES[require_known_name(name, list(STUDIES), "study")]
+    except ConfigurationError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "study") from None
+
+
+@router.get("/{study_id}", dependencies=[require_role(Role.VIEWER)], responses=STUDY_NOT_FOUND_RESPONSE)
+async def get_study(request: Request, study_id: str) -> StudyRun:
+    """One study, with how far it is."""
+    run = get_study_runner(request).get(study_id)
+    if run is None:
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no study {study_id!r}. GET /api/studies lists them.")
+    return run
+
+
+@router.post("/{study_id}/stop", dependencies=[require_role(Role.OPERATOR)], responses=STUDY_NOT_FOUND_RESPONSE)
+async def stop_study(request: Request, study_id: str, body: StopRequest | None = None) -> StudyRun:
+    """Stop this study. Stopping one that is over changes nothing."""
+    run = await get_study(request, study_id)
+    return await get_study_runner(request).stop(
+        run.id, "asked to stop", requester_name(request, body.by if body else None)
+    )
+
+
+@router.get(
+    "/{study_id}/report",
+    dependencies=[require_role(Role.VIEWER)],
+    response_class=FileResponse,
+    responses=STUDY_NOT_FOUND_RESPONSE,
+)
+async def report(request: Request, study_id: str) -> FileResponse:
+    """Its page, self-contained."""
+    path = await _find_result_file(request, study_id, "html")
+    return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+
+
+@router.get(
+    "/{study_id}/figures",
+    dependencies=[require_role(Role.VIEWER)],
+    response_class=FileResponse,
+    responses=STUDY_NOT_FOUND_RESPONSE,
+)
+async def figures(request: Request, study_id: str) -> FileResponse:
+    """Every figure and table of its page as JSON."""
+    return FileResponse(await _find_result_file(request, study_id, "json"), media_type="application/json")
+
+
+async def _find_result_file(request: Request, study_id: str, ending: str) -> Path:
+    run = await get_study(request, study_id)
+    path = get_study_runner(request).result_path(run, ending)
+    if run.report is None:
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"Study {run.id} is {run.state.value}: it has no report.")
+    if not path.is_file():
+        raise ProblemError(
+            HTTPStatus.NOT_FOUND, f"The report of study {run.id} is gone from {get_study_runner(request).folder}."
+        )
+    return path

@@ -1,0 +1,50 @@
+"""What runs here: versions, machine, configuration."""
+
+import os
+import platform
+from datetime import date
+from importlib.metadata import version
+
+from fastapi import APIRouter, Request
+
+from app import __version__
+from app.api.routes.runs import get_tool_service
+from app.host.disk import free_bytes
+from app.messages.wire import Role, System
+from app.people.authorization import require_role
+from app.stream.descriptions import build_constant_infos, build_force_scale_info
+
+router = APIRouter(prefix="/api", tags=["system"])
+VERSIONED_PACKAGES = (
+    "fastapi",
+    "uvicorn",
+    "websockets",
+    "numpy",
+    "scipy",
+    "numba",
+    "pydantic",
+    "nidaqmx",
+    "pyzmq",
+    "plotly",
+)
+
+
+@router.get("/system", dependencies=[require_role(Role.VIEWER)])
+async def system(request: Request) -> System:
+    """Versions, machine, workers, and the configuration in use (read-only)."""
+    station = get_tool_service(request)
+    plan = station.plan
+    return System(
+        versions={"graspwatch": __version__, "python": platform.python_version()}
+        | {package: version(package) for package in VERSIONED_PACKAGES},
+        machine=f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
+        started_at=station.started_at,
+        workers=station.worker_conditions(),
+        realtime=station.realtime,
+        data_folder=str(plan.data_folder),
+        free_disk_bytes=free_bytes(plan.data_folder),
+        tool=plan.tool.model_dump(mode="json"),
+        constants=build_constant_infos(plan.tool, date.today()),
+        force_scale=build_force_scale_info(plan.tool),
+        settings=plan.settings.model_dump(mode="json"),
+    )

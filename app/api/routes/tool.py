@@ -1,0 +1,99 @@
+"""What there is: the tool, its protocols, the tissue library, the service's health and metrics."""
+
+import functools
+
+import numpy as np
+from fastapi import APIRouter, Request, Response
+from pydantic import TypeAdapter
+
+from acquisition.protocol_player import command_cycle
+from app import __version__
+from app.api.routes.runs import get_tool_service
+from app.messages.wire import Health, LibraryInfo, Phase, ProtocolInfo, Role, ToolInfo
+from app.people.authorization import PUBLIC_ROUTE, get_user, require_role
+from app.stream.descriptions import build_library_info, build_tool_info
+from config.errors import RefusedError
+from config.load import list_shipped_names, load_protocol, read_modification_times
+from config.schema import GraspProtocol, Tool
+
+router = APIRouter(tags=["catalogue"])
+MAX_PREVIEW_POINTS = 200
+
+
+@router.get(
+    "/api/health",
+    dependencies=[PUBLIC_ROUTE],
+    responses={503: {"model": Health, "description": "Starting, or faulted"}},
+)
+async def health(request: Request, response: Response) -> Health:
+    """Ready once the filters are compiled and samples arrive."""
+    station = get_tool_service(request)
+    workers = station.worker_conditions()
+    phase = station.phase
+    if phase is Phase.FAULTED:
+        texts = station.alarms.technical_alarm_texts()
+        status, detail = "faulted", station.internal_error or "; ".join(texts) or "a worker is down"
+    elif phase is Phase.STARTING:
+        texts = station.alarms.technical_alarm_texts()
+        waiting_for = "opening the tool" if station.estimator_ready.is_set() else "preparing the filters"
+        status, detail = "starting", "; ".join(texts) or waiting_for
+    else:
+        status, detail = "ready", phase.value
+    response.status_code = 200 if status == "ready" else 503
+    if get_user(request) is None:
+        return Health(status=status, version=None, workers={}, detail="Sign in to learn more.")
+    return Health(status=status, version=__version__, workers=workers, detail=detail)
+
+
+@router.get("/api/tool", dependencies=[require_role(Role.VIEWER)])
+async def tool(request: Request) -> ToolInfo:
+    """The tool in use."""
+    return build_tool_info(get_tool_service(request).plan.tool)
+
+
+@router.get("/api/protocols", dependencies=[require_role(Role.VIEWER)], response_model=list[ProtocolInfo])
+async def protocols(request: Request) -> Response:
+    """The protocols, the shortest first, each with its waveform for a preview."""
+    return Response(
+        _build_previews(get_tool_service(request).plan.tool, read_modification_times("protocols")),
+        media_type="application/json",
+    )
+
+
+@functools.lru_cache(maxsize=2)
+def _build_previews(tool: Tool, stamp_ns: tuple[int, ...]) -> bytes:
+    """Worked out once for the files as they are: a storm of requests must not hold up a STOP."""
+    result = [_build_preview(load_protocol(name), tool) for name in list_shipped_names("protocols")]
+    result.sort(key=lambda protocol: (protocol.cycle_s, protocol.name))
+    return TypeAdapter(list[ProtocolInfo]).dump_json(result)
+
+
+def _build_preview(protocol: GraspProtocol, tool: Tool) -> ProtocolInfo:
+    refused, command = None, np.zeros(0)
+    try:
+        command = command_cycle(protocol, tool)
+    except RefusedError as error:
+        refused = str(error)
+    thin = max(len(command) // MAX_PREVIEW_POINTS, 1)
+    return ProtocolInfo(
+        name=protocol.name,
+        title=protocol.title,
+        cycles=protocol.cycles,
+        cycle_s=protocol.waveform.cycle_s,
+        peak_command_v=float(command.max(initial=0.0)),
+        refused=refused,
+        time_s=[i / tool.board.sample_rate_hz for i in range(0, len(command), thin)],
+        command_v=command[::thin].tolist(),
+    )
+
+
+@router.get("/api/tissues", dependencies=[require_role(Role.VIEWER)])
+async def tissues(request: Request) -> LibraryInfo:
+    """The tissue library in use."""
+    return build_library_info(get_tool_service(request).plan)
+
+
+@router.get("/metrics", dependencies=[require_role(Role.VIEWER)], include_in_schema=False)
+async def metrics(request: Request) -> Response:
+    """Prometheus metrics."""
+    return Response(get_tool_service(request).render_metrics(), media_type="text/plain; version=0.0.4; charset=utf-8")

@@ -1,1 +1,0 @@
-"""The first day with a tool: is it wired as its file says?"""

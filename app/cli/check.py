@@ -1,0 +1,67 @@
+"""`graspwatch check`: walk a tool from its driver to its jaws."""
+
+import json
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from app.cli.options import ConfigOption, JsonOption, ToolOption, error_console
+from config.errors import ConfigurationError, ToolError
+from config.load import load_library, load_settings, load_tool
+from config.schema import ToolKind
+
+OUTCOME_STYLES = {"pass": "green", "fail": "bold red", "not done": "yellow"}
+EMPTY_JAWS_QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
+
+
+def check(
+    tool: ToolOption = None,
+    move: Annotated[
+        bool | None, typer.Option("--move/--no-move", help="Close the empty jaws gently; else you are asked.")
+    ] = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out whether a tool is wired as its file says: pass or fail, and what to do. The motor is at zero afterwards.
+
+    Example: graspwatch check --tool nidaq --move
+    """
+    settings = load_settings(config)
+    chosen = load_tool(tool or settings.tool)
+    if chosen.kind is ToolKind.RECORDING:
+        raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to check.")
+
+    from acquisition.bench.checks import CheckOutcome  # takes a second: not before the request is known to be sound
+    from acquisition.tool_factory import open_hardware_check
+    from acquisition.worker import REALTIME_PRIORITY
+    from acquisition.worker_process import hold_realtime_priority
+
+    def may_move() -> bool:
+        is_asked = move is None and error_console.is_terminal and not as_json
+        return typer.confirm(EMPTY_JAWS_QUESTION, err=True) if is_asked else bool(move)
+
+    reading = hold_realtime_priority(REALTIME_PRIORITY)  # as the worker will
+    console, findings = Console(highlight=False), []
+    for finding in open_hardware_check(chosen, load_library(settings.library), reading).run_checks(may_move):
+        findings.append(finding)
+        if not as_json and finding.outcome is not CheckOutcome.NOT_DONE:
+            console.print(_format_finding(finding.outcome, finding.check, finding.text), soft_wrap=True)
+    not_done = [finding for finding in findings if finding.outcome is CheckOutcome.NOT_DONE]
+    if as_json:
+        print(json.dumps({"tool": chosen.name, "checks": [asdict(finding) for finding in findings]}, indent=2))
+    else:
+        for text in dict.fromkeys(finding.text for finding in not_done):
+            names = ", ".join(finding.check for finding in not_done if finding.text == text)
+            console.print(_format_finding(CheckOutcome.NOT_DONE, names, text), soft_wrap=True)
+    failed = [finding.check for finding in findings if finding.outcome is CheckOutcome.FAIL]
+    if failed:
+        raise ToolError(f"{chosen.title} is not ready: {', '.join(failed)}. Do what stands beside, then check again.")
+    if not as_json:
+        console.print(f"{chosen.title}: all is well" + (f"; {len(not_done)} checks not done." if not_done else "."))
+
+
+def _format_finding(outcome: str, check: str, text: str) -> str:
+    return f"[{OUTCOME_STYLES[outcome]}]{outcome:<8}[/] {check}: {escape(text)}"

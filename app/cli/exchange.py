@@ -1,0 +1,90 @@
+"""`graspwatch import` and `graspwatch export`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.journaled import journal_local_command
+from app.cli.options import (
+    DEFAULT_RECORDING_TOOL,
+    ConfigOption,
+    DataOption,
+    LibraryOption,
+    ProgressBar,
+    prepare_data_folder,
+)
+from app.recordings.exchange.export_formats import ExportFormat
+from config.errors import RecordingError
+from config.load import load_library, load_settings, load_tool
+
+
+def import_(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="LabVIEW logs: .lvm, .lvm.gz.")],
+    tool: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Tool file that names the channels and their calibration.")
+    ] = DEFAULT_RECORDING_TOOL,
+    tissue: Annotated[str | None, typer.Option(help="What was held, if it is known.")] = None,
+    library: LibraryOption = None,
+    config: ConfigOption = None,
+    data: DataOption = None,
+) -> None:
+    """Take LabVIEW logs into the data folder, as recordings like any other.
+
+    Example: graspwatch import liver4Hz1.lvm.gz --tissue liver
+    """
+    settings = load_settings(config)
+    profiles, rig_tool = load_library(library or settings.library), load_tool(tool)
+    folder = prepare_data_folder(data, settings) / "recordings"
+
+    from app.recordings.exchange.labview_import import (
+        import_labview,  # takes a second: not before the request is known to be sound
+    )
+    from app.recordings.mcap_writer import RecordingContext
+
+    for path in files:
+        noted = journal_local_command(folder.parent, "import", f"Import {path.name}")
+        with noted, ProgressBar(path.name, 1.0) as progress:
+            written = import_labview(path, folder, RecordingContext(rig_tool, profiles, settings), tissue, progress)
+        print(written)
+
+
+def export(
+    run: Annotated[str, typer.Argument(metavar="RUN|FILE", help="Id of a run of the data folder, or an .mcap file.")],
+    export_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where to; default: the run's name in this folder.")
+    ] = None,
+    config: ConfigOption = None,
+    data: DataOption = None,
+) -> None:
+    """Write a recorded run for other programs: every sample with its estimates, and every grasp.
+
+    Example: graspwatch export 20261127-101500-001 --format parquet
+    """
+    source = find_recording_file(run, config, data)
+    from app.recordings.exchange.export import export_run as write
+
+    for path in write(source, out or Path(f"{source.stem}.{export_format.value}"), export_format):
+        print(path)
+
+
+def find_recording_file(run: str, config: Path | None, data: Path | None) -> Path:
+    """The file of a run, named by its path or, in the data folder, by its id.
+
+    Raises:
+        RecordingError: there is none.
+    """
+    named = Path(run)
+    if named.suffix == ".mcap" or named.exists():
+        return named
+    if run.endswith((".lvm", ".lvm.gz")):
+        raise RecordingError(f"{run}: there is no such file. Check the path.")
+    folder = prepare_data_folder(data, load_settings(config)) / "recordings"
+    path = folder / f"{run}.mcap"
+    if not path.is_file():
+        raise RecordingError(f"There is no recording of a run {run!r} in {folder}. Name another folder with --data.")
+    return path
+
+
+COMMANDS = (import_, export)

@@ -1,0 +1,41 @@
+"""What a program on this machine changes in a data folder stands in its journal too."""
+
+import contextlib
+import getpass
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from app.audit.journal import Journal
+from app.cli.options import error_console
+from app.messages.wire import JournalEntry, Result
+from config.errors import GraspwatchError
+
+
+@contextlib.contextmanager
+def journal_local_command(
+    data: Path, action: str, description: str, on_entry: Callable[[JournalEntry], object] = lambda _: None
+) -> Iterator[None]:
+    """Note what is done inside, whether it succeeds or fails."""
+    journal = Journal(data, _print_warning, on_entry)
+    client = f"this machine: graspwatch {action}"
+    try:
+        yield
+    except GraspwatchError as error:
+        journal.write_request(
+            action, description, client=client, result=Result.FAILED, by=_user_name(), reason=str(error)
+        )
+        raise
+    journal.write_request(action, description, client=client, result=Result.DONE, by=_user_name())
+
+
+def _user_name() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container may have no names
+        return f"user {os.getuid()}"
+
+
+def _print_warning(fault: str | None) -> None:
+    if fault:
+        error_console.print(f"Not noted: {fault}.", markup=False, soft_wrap=True)

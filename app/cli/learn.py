@@ -1,0 +1,174 @@
+"""`graspwatch learn`: a tissue library from labelled recordings, and a report of how far it can be trusted."""
+
+import json
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from app.cli.label_option import parse_labels
+from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, error_console
+from config.load import load_library, load_settings, load_tool
+from config.schema import TissueLibrary, Tool
+
+if TYPE_CHECKING:
+    from app.analysis.learning.training_set import TrainingSet
+    from estimator.studies.study_report import StudyResult
+
+READING_SHARE = 0.3  # of the time that learning takes
+
+
+def learn(
+    label: Annotated[
+        list[str],
+        typer.Option(
+            "--label",
+            metavar="TISSUE=FILE...",
+            help="Recordings of a tissue; repeat it for each tissue. Files may follow one another, be separated by "
+            "commas, or be a pattern.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE.toml", help="The library to write; a report goes beside it.")
+    ],
+    tool: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Tool file with the recordings' channels and calibration; default: the one in the first .mcap file, "
+            f"for LabVIEW's {DEFAULT_RECORDING_TOOL}.",
+        ),
+    ] = None,
+    base: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Library that injury thresholds, mass and jaw area come from.")
+    ] = "porcine",
+    least: Annotated[
+        int, typer.Option(min=2, max=10_000, help="Grasps that each tissue needs, without first ones.")
+    ] = 5,
+    config: Annotated[
+        Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of config/graspwatch.toml.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON instead of a table.")] = False,
+) -> None:
+    """Learn a tissue library from labelled recordings, and say how far it can be trusted.
+
+    First grasps of a recording, slipping encoders and other unsound grasps are left out; outlying ones count less.
+
+    Example: graspwatch learn --label liver=liver4Hz1.lvm.gz --label bladder=bladder4Hz1.lvm.gz --out learned.toml
+    """
+    from app.analysis.learning.library_file import check_writable, library_to_toml, write_atomically
+
+    files, settings = parse_labels(label), load_settings(config)
+    rig, like = load_tool(tool) if tool else _find_recording_tool(files), load_library(base)
+    page, data = (out.with_name(f"{out.stem}-report.{kind}") for kind in ("html", "json"))
+    check_writable(out)
+
+    from app.analysis.learning.learning_report import build_report
+    from app.analysis.learning.training_set import (
+        load_training_set,  # takes a second: not before the request is known to be sound
+    )
+    from estimator.learning.cross_validation import cross_validate
+    from estimator.learning.library_fit import fit_library
+    from estimator.learning.recorded_grasps import LabeledRecording, estimate_usual_peak_v, extract_loading_curves
+
+    def of(recordings: Sequence[LabeledRecording]) -> TissueLibrary:
+        peak_v = estimate_usual_peak_v(recordings)
+        curves = [extract_loading_curves(each, rig, peak_v) for each in recordings]
+        return fit_library(curves, rig, like, base, peak_v, name="validated", date=today)
+
+    today = date.today().isoformat()
+    with ProgressBar("learning", 1.0) as progress:
+        found = load_training_set(files, rig, like, settings, least, lambda share: progress(READING_SHARE * share))
+        library = fit_library(
+            found.curves, rig, like, base, found.peak_v, name=_make_library_name(out.stem), date=today
+        )
+        answers = cross_validate(
+            found.recordings,
+            of,
+            rig,
+            settings.identification,
+            lambda share: progress(READING_SHARE + (1 - READING_SHARE) * share),
+        )
+    study = build_report(library.name, library, answers, {"tool": rig.name, "base": base, "date": today})
+    write_atomically(page, study.render_page())
+    write_atomically(data, json.dumps(study.to_document(), indent=2, allow_nan=False) + "\n")
+    write_atomically(out, library_to_toml(library))
+    _print_result(study, library, found, out, page, data, as_json)
+
+
+def _find_recording_tool(files: dict[str, list[Path]]) -> Tool:
+    """The tool that the first file which knows its own was recorded with, else that of the lab's LabVIEW logs."""
+    from acquisition.recordings.mcap_reader import McapFile
+    from acquisition.recordings.recording import is_mcap, read_recorded_tool
+
+    known = (path for paths in files.values() for path in paths if is_mcap(path))
+    first = next(known, None)
+    return read_recorded_tool(McapFile(first)) if first else load_tool(DEFAULT_RECORDING_TOOL)
+
+
+def _make_library_name(text: str) -> str:
+    """A file's name as a library's name."""
+    letters = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in text.lower()).strip("_")
+    return letters or "learned"
+
+
+def _print_result(
+    study: "StudyResult",
+    library: TissueLibrary,
+    training_set: "TrainingSet",
+    out: Path,
+    page: Path,
+    data: Path,
+    as_json: bool,
+) -> None:
+    for remark in [*training_set.remarks, *_missing_threshold_warnings(library)]:
+        error_console.print(f"[yellow]Note:[/] {remark}", soft_wrap=True)
+    if as_json:
+        print(json.dumps(_build_document(study, library, out), indent=2, allow_nan=False))
+        return
+    console = Console()
+    tissues = Table("Tissue", "Recordings", "Grasps", "alpha", "beta", "d", "Threshold", title=library.title)
+    for name, profile in library.tissues.items():
+        learned = profile.learned
+        if learned:
+            tissues.add_row(
+                name,
+                str(len(learned.recordings)),
+                str(learned.grasps),
+                f"{profile.alpha_n:.3g} N",
+                f"{profile.beta_per_m:.3g} /m",
+                f"{profile.damping_kg_per_s:.3g} kg/s",
+                f"{profile.threshold_pa / 1e3:g} kPa",
+            )
+    console.print(tissues)
+    figures = Table("Figure", "Measured", title="On grasps it was not learned from")
+    for figure in study.figures:
+        figures.add_row(figure.name, "–" if figure.value is None else f"{figure.value:.3g} {figure.unit}".rstrip())
+    console.print(figures)
+    console.print(f"Library: {out}\nReport: {page}\nFigures: {data}", soft_wrap=True, highlight=False)
+
+
+def _missing_threshold_warnings(library: TissueLibrary) -> list[str]:
+    from estimator.learning.library_fit import find_base_tissue
+
+    base = load_library(library.learned.base) if library.learned else library
+    strange = [name for name in library.tissues if find_base_tissue(name, base) is None]
+    if not strange:
+        return []
+    lowest = min(each.threshold_pa for each in base.tissues.values()) / 1e3
+    return [
+        f"the library {base.name!r} does not know {', '.join(strange)}: its lowest injury threshold, {lowest:g} kPa, "
+        "is taken. If a higher one is known, put it into the file."
+    ]
+
+
+def _build_document(study: "StudyResult", library: TissueLibrary, out: Path) -> dict[str, Any]:
+    return {
+        "library": str(out),
+        "tissues": library.model_dump(mode="json", exclude_none=True)["tissues"],
+        **study.to_document(),
+    }

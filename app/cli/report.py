@@ -1,0 +1,191 @@
+"""`graspwatch report`: one page and one JSON of recordings, with what they say of the tissues."""
+
+import difflib
+import json
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar
+from config.errors import ConfigurationError
+from config.load import load_library, load_settings, load_tool
+from config.schema import TissueLibrary
+from estimator.decision import UNDECIDED
+
+if TYPE_CHECKING:
+    from app.analysis.report.report import Report
+
+RECORDING_SUFFIXES = (".mcap", ".lvm", ".lvm.gz")
+TISSUE_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_]*")
+PAGE_MARKER, DATA_MARKER = (
+    '<meta name="generator" content="Graspwatch report">',
+    '"report": "Report: ',
+)  # in the first bytes
+MARKER_SEARCH_BYTES = 1000  # bytes
+
+
+def report(
+    recordings: Annotated[
+        list[str],
+        typer.Argument(metavar="RUN|FILE", help="Recordings (.mcap, .lvm, .lvm.gz), or runs of the data folder."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The page; default: report.html or report-NAME.html here.")
+    ] = None,
+    label: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TISSUE=FILE,…", help="What was held in these recordings; else their own word, or verdicts."
+        ),
+    ] = None,
+    library: Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Tissue library: a name or a file.")] = None,
+    tool: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Tool file with channels and calibration of LabVIEW's recordings.")
+    ] = DEFAULT_RECORDING_TOOL,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Settings instead of config/graspwatch.toml.")
+    ] = None,
+    data: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Data folder; default: as configured.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the JSON instead of a table.")] = False,
+) -> None:
+    """Write a report: courses, verdicts, warnings, stress over strain, and what the grasps say of the tissues.
+
+    The page needs nothing but a browser, and can be printed; beside it lies a JSON with every figure.
+
+    Example: graspwatch report liver.lvm.gz bladder.lvm.gz --label liver=liver.lvm.gz --out report.html
+    """
+    settings = load_settings(config)
+    profiles, rig = load_library(library or settings.library), load_tool(tool)
+    folder = (data or Path(settings.data_folder)) / "recordings"
+    files = [_find_recording(name, folder) for name in recordings]
+    if len(set(files)) < len(files):
+        twice = next(path for path in files if files.count(path) > 1)
+        raise ConfigurationError(f"{twice} is named twice. Name each recording once.")
+    labels = _parse_labels(label or [], files, profiles)
+    page_path = out or Path("report.html" if len(files) > 1 else f"report-{files[0].name.partition('.')[0]}.html")
+    data_path = page_path.with_suffix(".json")
+    _check_output_paths(page_path, data_path)
+
+    from app.analysis.report.page import (
+        render_report_page,  # takes a second: not before the request is known to be sound
+    )
+    from app.analysis.report.report import read_common_configuration, read_report, write_atomically
+
+    if library is None and config is None:
+        profiles, settings = read_common_configuration(files) or (profiles, settings)
+
+    with ProgressBar(page_path.name, 1.0) as progress:
+        made = read_report(files, rig, profiles, settings, labels, progress)
+        text, document = (
+            render_report_page(made, progress),
+            json.dumps(made.document(), indent=2, allow_nan=False) + "\n",
+        )
+    try:
+        write_atomically(page_path, text)
+        write_atomically(data_path, document)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{page_path}: cannot be written ({error.strerror}). Name another with --out."
+        ) from None
+    if as_json:
+        print(document, end="")
+        return
+    _print_summary(made, page_path, data_path)
+
+
+def _find_recording(name: str, folder: Path) -> Path:
+    """A file by its path, or one of the data folder's recordings by its name, with or without its ending.
+
+    Raises:
+        ConfigurationError: there is none.
+    """
+    places = [Path(name), *(folder / f"{name}{ending}" for ending in ("", *RECORDING_SUFFIXES))]
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        raise ConfigurationError(f"{name}: there is no such file, and no such recording in {folder}. Check the name.")
+    return path
+
+
+def _parse_labels(labels: list[str], files: list[Path], library: TissueLibrary) -> dict[Path, str]:
+    """What was held, by file.
+
+    Raises:
+        ConfigurationError: a label is not understood, or names a file that is not in the report.
+    """
+    held: dict[Path, str] = {}
+    for one in labels:
+        tissue, equals, names = one.partition("=")
+        if not equals or not names:
+            raise ConfigurationError(f"--label {one}: expected TISSUE=FILE, or TISSUE=FILE,FILE.")
+        _check_tissue(tissue, library)
+        for name in names.split(","):
+            named = [path for path in files if name in (str(path), path.name, path.name.partition(".")[0])]
+            if not named:
+                raise ConfigurationError(f"--label {one}: {name!r} is none of the recordings of this report.")
+            if len(named) > 1:
+                raise ConfigurationError(f"--label {one}: {name!r} is {len(named)} of the recordings. Give its path.")
+            if named[0] in held:
+                raise ConfigurationError(f"--label {one}: {name!r} has a label already.")
+            held[named[0]] = tissue
+    return held
+
+
+def _check_tissue(tissue: str, library: TissueLibrary) -> None:
+    """A tissue that is not in the library can be told, but not one that is misspelt."""
+    if tissue in library.tissues:
+        return
+    if not TISSUE_NAME_PATTERN.fullmatch(tissue) or tissue == UNDECIDED:
+        raise ConfigurationError(f"--label: {tissue!r} is no name of a tissue: small letters, digits and _ only.")
+    if close := difflib.get_close_matches(tissue, library.tissues, n=1, cutoff=0.8):
+        raise ConfigurationError(f"--label: there is no tissue {tissue!r}. Did you mean {close[0]!r}?")
+
+
+def _check_output_paths(page: Path, data: Path) -> None:
+    """That both files can be written and that nothing but an earlier report is lost.
+
+    Raises:
+        ConfigurationError: they cannot, or something else is there.
+    """
+    if page.suffix not in (".html", ".htm"):
+        raise ConfigurationError(f"--out {page}: the page's name must end in .html.")
+    if not page.parent.is_dir():
+        raise ConfigurationError(f"--out {page}: there is no folder {page.parent}. Make it, or name another file.")
+    if not os.access(page.parent, os.W_OK):
+        raise ConfigurationError(f"--out {page}: {page.parent} cannot be written to. Name a file in another folder.")
+    for path, own in ((page, PAGE_MARKER), (data, DATA_MARKER)):
+        try:
+            with path.open("rb") as file:
+                begin = file.read(MARKER_SEARCH_BYTES).decode(errors="replace")
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise ConfigurationError(
+                f"{path}: cannot be replaced ({error.strerror}). Name another with --out."
+            ) from None
+        if own not in begin:
+            raise ConfigurationError(f"{path} is there already and is no report. Name another file with --out.")
+
+
+def _print_summary(report_result: "Report", page: Path, data: Path) -> None:
+    """The figures in short; the whole of them stands on the page."""
+    from estimator.studies.html_page import format_value
+
+    found, looks, console = report_result.statistics, report_result.tissue_styles, Console()
+    table = Table("Held", "Grasps", "Converged", "Mean time, s", "α, N", "β, 1/m", "d, kg/s", title=report_result.title)
+    for name, row in found.convergence.items():
+        time = row.convergence_s
+        means = [one.geometric_mean for one in found.parameters[name].values()]
+        table.add_row(looks[name].title, str(row.grasps), str(time.count), *map(format_value, (time.mean, *means)))
+    if found.groups:
+        console.print(table)
+    for pair, telling in found.find_distinguishing_parameters().items():
+        words = f"told apart by {', '.join(telling)}" if telling else "not told apart by any parameter"
+        console.print(f"{' and '.join(looks[name].title for name in pair)}: {words}.", highlight=False)
+    left_out = f", {len(found.excluded)} of them left out of the statistics" if found.excluded else ""
+    console.print(f"{len(report_result.grasps)} grasps{left_out}.", highlight=False)
+    console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True, highlight=False)

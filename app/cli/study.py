@@ -1,0 +1,210 @@
+"""`graspwatch study`: measures how right, how early and how honest the estimator is; writes a page and a JSON."""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from config.load import load_library, load_protocol
+from estimator.studies.catalog import MAX_GRASPS, STUDIES, StudyDefinition
+
+if TYPE_CHECKING:
+    from estimator.studies.answer_course import StudyConditions
+    from estimator.studies.study_report import StudyResult
+
+app = typer.Typer(
+    help="Measure how right, how early and how honest the estimator is. Each study writes a self-contained HTML page "
+    "and a JSON of every figure, and uses all cores.",
+    no_args_is_help=True,
+)
+error_console = Console(stderr=True, highlight=False)
+ESTIMATE_AFTER_SHARE, ESTIMATE_AFTER_S = 0.05, 1.0  # of the cases, and seconds, when there is no terminal for a bar
+DEFAULT_FOLDER = Path("studies")
+
+GraspsOption = Annotated[
+    int, typer.Option(min=1, max=MAX_GRASPS, help="Grasps of each tissue (and of each condition).")
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens, noise and guesses.")]
+NoiseOption = Annotated[
+    float, typer.Option(min=0.05, max=100, help="Noise of the strain gage, mV; known to the estimator.")
+]
+SpreadOption = Annotated[float, typer.Option(min=0, max=5, help="Scatter of specimens, times the library's spreads.")]
+ProtocolOption = Annotated[str, typer.Option(metavar="NAME|FILE", help="What the motor is commanded.")]
+LibraryOption = Annotated[str, typer.Option(metavar="NAME|FILE", help="Tissue library.")]
+TouchOption = Annotated[bool, typer.Option("--touch/--no-touch", help="Whether the tool senses contact.")]
+ThicknessOption = Annotated[
+    bool, typer.Option("--thickness/--no-thickness", help="Whether thickness at contact is evidence.")
+]
+OutOption = Annotated[Path, typer.Option(metavar="FOLDER", help="Where the page and the JSON are written.")]
+JobsOption = Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the JSON instead of a table.")]
+
+
+def _make_seeds_command(study: StudyDefinition) -> Callable[..., None]:
+    def command(
+        seeds: Annotated[
+            int, typer.Option(min=1, max=study.max_count, help="Noises and wrong guesses of each tissue.")
+        ] = study.default_count,
+        seed: SeedOption = 0,
+        out: OutOption = DEFAULT_FOLDER,
+        jobs: JobsOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
+        from estimator.studies.answer_course import StudyConditions  # takes a second
+
+        _print_study(_run_study(study, StudyConditions(), seeds, seed, jobs), out, as_json)
+
+    return command
+
+
+def _make_thickness_command(study: StudyDefinition) -> Callable[..., None]:
+    def command(
+        grasps: GraspsOption = study.default_count,
+        noise_mv: NoiseOption = 2.0,
+        spread: SpreadOption = 1.0,
+        protocol: ProtocolOption = "trapezoid_2hz",
+        library: LibraryOption = "porcine",
+        touch: TouchOption = True,
+        thickness: ThicknessOption = True,
+        seed: SeedOption = 0,
+        out: OutOption = DEFAULT_FOLDER,
+        jobs: JobsOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
+        bench = _make_bench(protocol, library, noise_mv, spread, touch, thickness)
+        _print_study(_run_study(study, bench, grasps, seed, jobs), out, as_json)
+
+    return command
+
+
+def _make_protocol_command(study: StudyDefinition) -> Callable[..., None]:
+    def command(
+        grasps: GraspsOption = study.default_count,
+        noise_mv: NoiseOption = 2.0,
+        spread: SpreadOption = 1.0,
+        protocol: ProtocolOption = "trapezoid_2hz",
+        library: LibraryOption = "porcine",
+        touch: TouchOption = True,
+        seed: SeedOption = 0,
+        out: OutOption = DEFAULT_FOLDER,
+        jobs: JobsOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
+        _print_study(
+            _run_study(study, _make_bench(protocol, library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json
+        )
+
+    return command
+
+
+def _make_library_command(study: StudyDefinition) -> Callable[..., None]:
+    def command(
+        grasps: GraspsOption = study.default_count,
+        noise_mv: NoiseOption = 2.0,
+        spread: SpreadOption = 1.0,
+        library: LibraryOption = "porcine",
+        touch: TouchOption = True,
+        seed: SeedOption = 0,
+        out: OutOption = DEFAULT_FOLDER,
+        jobs: JobsOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
+        _print_study(
+            _run_study(study, _make_bench("trapezoid_2hz", library, noise_mv, spread, touch), grasps, seed, jobs),
+            out,
+            as_json,
+        )
+
+    return command
+
+
+def _make_command(study: StudyDefinition) -> Callable[..., None]:
+    """The study as a command, with the options that mean something to it."""
+    if not study.uses_conditions:
+        return _make_seeds_command(study)
+    if not study.uses_protocol:
+        return _make_library_command(study)
+    return _make_thickness_command(study) if study.uses_thickness else _make_protocol_command(study)
+
+
+for entry in STUDIES.values():
+    app.command(entry.name, help=entry.title)(_make_command(entry))
+
+
+def _run_study(
+    study: StudyDefinition, bench: "StudyConditions", grasps: int, seed: int, jobs: int | None
+) -> "StudyResult":
+    """Carry out a study, and show how far it is."""
+    with _ProgressDisplay(study.name) as progress:
+        return study.run(bench, grasps, seed, progress, jobs)
+
+
+def _make_bench(
+    protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool = True
+) -> "StudyConditions":
+    """What the grasps have in common; a wrong name is told before anything starts.
+
+    Raises:
+        ConfigurationError: there is no such protocol or library.
+    """
+    load_protocol(protocol)
+    load_library(library)
+    from estimator.studies.answer_course import StudyConditions  # takes a second
+
+    return StudyConditions(protocol, library, noise_mv, spread, touch, thickness)
+
+
+class _ProgressDisplay:
+    """How far a study is: a bar with the time left; where there is no terminal, one line that tells it."""
+
+    def __init__(self, title: str) -> None:
+        columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        self._bar = Progress(*columns, console=error_console, transient=True, disable=not error_console.is_terminal)
+        self._task = self._bar.add_task(title)
+        self._title, self._estimate_printed = title, error_console.is_terminal
+        self._first_progress: tuple[float, int] | None = (
+            None  # when the first cases were done, and how many: after compiling
+        )
+
+    def __enter__(self) -> "_ProgressDisplay":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, done: int, of: int) -> None:
+        self._bar.update(self._task, completed=done, total=of)
+        now_s = time.monotonic()
+        if done and self._first_progress is None:
+            self._first_progress = now_s, done
+        elif (
+            self._first_progress
+            and not self._estimate_printed
+            and done >= ESTIMATE_AFTER_SHARE * of
+            and now_s - self._first_progress[0] > ESTIMATE_AFTER_S
+        ):
+            self._estimate_printed = True
+            left_s = (now_s - self._first_progress[0]) * (of - done) / (done - self._first_progress[1])
+            error_console.print(f"{self._title}: {done} of {of} cases done, about {left_s:.0f} s left.", soft_wrap=True)
+
+
+def _print_study(study: "StudyResult", out: Path, as_json: bool) -> None:
+    page, data = study.write(out)
+    if as_json:
+        print(json.dumps(study.to_document(), indent=2, allow_nan=False))
+        return
+    table = Table("Figure", "Measured", "To reach", "", title=study.title)
+    words = {True: "reached", False: "[bold red]not reached[/]", None: ""}
+    for figure in study.figures:
+        value = "–" if figure.value is None else f"{figure.value:.3g} {figure.unit}".rstrip()
+        table.add_row(figure.name, value, figure.floor, words[figure.reached])
+    console = Console()
+    console.print(table)
+    console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True, highlight=False)

@@ -1,8 +1,0 @@
-"""Where the program begins. Its workers, being processes of their own, import this again: so it is nearly nothing."""
-
-
-def main() -> None:
-    """The command line."""
-    from app.cli import main as run
-
-    run()

@@ -1,0 +1,1 @@
+"""How requests arrive, and how errors go back."""

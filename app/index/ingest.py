@@ -1,0 +1,171 @@
+"""Put wire messages into the tables. Taking a message twice changes nothing.
+
+Runs, grasps, alarms and journal lines may come in any order: the newest of one thing stays, whichever came last. What
+is said of a recording's file is how it is now: there the last counts.
+"""
+
+import hashlib
+import json
+from datetime import UTC, datetime
+from typing import Any, TypeVar
+
+from sqlalchemy.orm import Session
+
+from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, IndexTable, RunRow
+from app.messages.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Run, RunState, WireModel
+
+Row = TypeVar("Row", bound=IndexTable)
+IndexedMessage = Run | GraspEnded | Alarm | JournalEntry | FileRecord
+
+
+def ingest(session: Session, message: IndexedMessage, run_id: str | None = None) -> None:
+    """Put one message into the index; `run_id` is the run of a grasp that does not say it.
+
+    Raises:
+        TypeError: no table is for such a message.
+    """
+    match message:
+        case Run():
+            _ingest_run(session, message)
+        case GraspEnded():
+            _ingest_grasp(session, message, message.run_id or run_id)
+        case Alarm():
+            _ingest_alarm(session, message)
+        case JournalEntry():
+            _ingest_journal_entry(session, message)
+        case FileRecord():
+            _ingest_file_record(session, message)
+        case _:
+            raise TypeError(f"{type(message).__name__} is nothing for the index")
+    session.flush()
+
+
+def parse_iso_ms(moment: str) -> float:
+    """ISO 8601 to milliseconds since 1970; without a zone it is UTC."""
+    found = datetime.fromisoformat(moment)
+    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp() * 1e3
+
+
+def line_key(entry: JournalEntry) -> str:
+    """What tells lines of the journal apart: everything they say, wherever they stand."""
+    return hashlib.sha256(entry.without_chain().to_line().encode()).hexdigest()
+
+
+def _to_json_text(message: WireModel) -> str:
+    return message.model_dump_json()
+
+
+def _to_json_dict(message: WireModel) -> dict[str, Any]:
+    return json.loads(message.model_dump_json())
+
+
+def _replace_nul(text: str | None) -> str | None:
+    """PostgreSQL takes no NUL in a text; the message beside it keeps it."""
+    return text.replace("\0", "\ufffd") if text is not None else None
+
+
+def _get_row(session: Session, table: type[Row], *key: Any) -> Row | None:
+    return session.get(table, key if len(key) > 1 else key[0])
+
+
+def _get_or_add_run_row(session: Session, run_id: str) -> RunRow:
+    """A run that nothing is known of yet gets its row with its first grasp."""
+    row = _get_row(session, RunRow, run_id)
+    if row is None:
+        row = RunRow(id=run_id, grasps=0)
+        session.add(row)
+    return row
+
+
+def _ingest_run(session: Session, run: Run) -> None:
+    row = _get_or_add_run_row(session, run.id)
+    row.grasps = max(row.grasps, run.grasps)
+    run = run.model_copy(update={"grasps": 0})  # counted in its column
+    if row.message is not None and _run_recency(Run.model_validate(row.message)) >= _run_recency(run):
+        return
+    row.protocol, row.tissue, row.by = _replace_nul(run.protocol), _replace_nul(run.tissue), _replace_nul(run.by)
+    row.state, row.why = run.state.value, _replace_nul(run.why)
+    row.started_ms = parse_iso_ms(run.started_at)
+    row.ended_ms = parse_iso_ms(run.ended_at) if run.ended_at else None
+    row.message = _to_json_dict(run)
+
+
+def _run_recency(run: Run) -> tuple[bool, str, str]:
+    """A run that is over stays so."""
+    return run.state is not RunState.RUNNING, run.ended_at or "", _to_json_text(run)
+
+
+def _ingest_grasp(session: Session, ended: GraspEnded, run_id: str | None) -> None:
+    if run_id is None:
+        return  # of no run: nothing that could be asked for
+    grasp, run = ended.grasp, _get_or_add_run_row(session, run_id)
+    run.grasps = max(run.grasps, grasp.index)
+    session.flush()
+    row = _get_row(session, GraspRow, run_id, grasp.index)
+    ended = ended.model_copy(update={"run_id": run_id})
+    if row is None:
+        row = GraspRow(run_id=run_id, index=grasp.index)
+        session.add(row)
+    elif _grasp_recency(GraspEnded.model_validate(row.message)) >= _grasp_recency(ended):
+        return
+    row.label, row.probability, row.peak_force_n = grasp.label, grasp.probability, grasp.peak_force_n
+    row.valid, row.held_back = grasp.valid, grasp.held_back
+    row.message = _to_json_dict(ended)
+
+
+def _grasp_recency(ended: GraspEnded) -> tuple[float, str]:
+    return ended.grasp.end_s, _to_json_text(ended)
+
+
+def _ingest_alarm(session: Session, alarm: Alarm) -> None:
+    key = f"{alarm.began_ms:.3f}/{alarm.id}"
+    row = _get_row(session, AlarmRow, key)
+    if row is None:
+        row = AlarmRow(key=key)
+        session.add(row)
+    elif _alarm_recency(Alarm.model_validate(row.message)) >= _alarm_recency(alarm):
+        return
+    row.kind, row.priority, row.active, row.text = alarm.kind.value, alarm.priority.value, alarm.active, alarm.text
+    row.began_ms, row.ended_ms, row.change = alarm.began_ms, alarm.ended_ms, alarm.change
+    row.acknowledged_by = _replace_nul(alarm.acknowledged_by)
+    row.message = _to_json_dict(alarm)
+
+
+def _alarm_recency(alarm: Alarm) -> tuple[int, str]:
+    return alarm.change, _to_json_text(alarm)
+
+
+def _ingest_journal_entry(session: Session, entry: JournalEntry) -> None:
+    """With the line comes what it is about, unless the line was there: then it has come, and may have changed since."""
+    key = line_key(entry)
+    if row := _get_row(session, AuditRow, key):
+        if entry.hash:  # it had to wait for its place in the journal
+            row.message = _to_json_dict(entry)
+        return
+    session.add(
+        AuditRow(
+            key=key,
+            at_ms=parse_iso_ms(entry.at),
+            kind=entry.kind.value,
+            text=_replace_nul(entry.text),
+            by=_replace_nul(entry.by),
+            message=_to_json_dict(entry),
+        )
+    )
+    for about in (entry.run, entry.alarm, entry.file):
+        if about is not None:
+            ingest(session, about)
+
+
+def _ingest_file_record(session: Session, record: FileRecord) -> None:
+    row = _get_row(session, FileRow, record.name)
+    if row is None:
+        row = FileRow(name=record.name)
+        session.add(row)
+    row.run_id, row.size_bytes = record.run_id, record.size_bytes
+    row.made_ms, row.duration_s = parse_iso_ms(record.made_at), record.duration_s
+    row.samples, row.lost_samples = record.samples, record.lost_samples
+    row.condition = record.condition.value if record.condition else None
+    row.deleted_ms = parse_iso_ms(record.deleted_at) if record.deleted_at else None
+    row.deleted_by = _replace_nul(record.deleted_by)
+    row.message = _to_json_dict(record)

@@ -1,0 +1,71 @@
+"""Open an index for a service, before anything moves."""
+
+import os
+from pathlib import Path
+
+from sqlalchemy import URL
+
+from app.index.database import explain_database_errors
+from app.index.rebuild import (
+    BEHIND_MARKER_FILE,
+    RebuildResult,
+    RecordingReader,
+    find_recordings,
+    ingest_recording,
+    parse_journal_lines,
+)
+from app.index.store import Store
+
+MAX_BATCH_LINES = 500
+MAX_CATCH_UP_RECORDINGS = 3  # what a killed service may have left; more would make the start slow
+MAX_CATCH_UP_BYTES = 4_000_000  # of the journal's end; about 10,000 lines
+
+
+def open_store_for_service(url: URL, data: Path, readers: tuple[RecordingReader, ...]) -> Store:
+    """Up to date, claimed, and with the last lines of the journal and the few recordings that it lacks.
+
+    Where it lacks many, it is marked as behind.
+
+    Raises:
+        ConfigurationError: PostgreSQL's driver is missing.
+        ServiceError: it cannot be opened or written; the text says why and what to do next.
+    """
+    store = Store(url)
+    try:
+        _ingest_journal_tail(store, data / "journal.jsonl")
+        if store.is_first_user:  # else they may be of another service, and under way
+            _ingest_missing_recordings(store, data, readers)
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def _ingest_journal_tail(store: Store, journal: Path) -> None:
+    """Take those of the journal's last lines that the index lacks, because it could not be written when they were."""
+    try:
+        with journal.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(size - MAX_CATCH_UP_BYTES, 0))
+            if size > MAX_CATCH_UP_BYTES:
+                file.readline()  # the rest of a line
+            entries = [entry for entry in parse_journal_lines(file) if entry]
+    except OSError:
+        return  # none yet; one that cannot be read is told by who writes it
+    with explain_database_errors(store.url):
+        for begin in range(0, len(entries), MAX_BATCH_LINES):
+            store.ingest_new_lines(entries[begin : begin + MAX_BATCH_LINES])
+
+
+def _ingest_missing_recordings(store: Store, data: Path, readers: tuple[RecordingReader, ...]) -> None:
+    known = store.list_file_names()
+    missing = {path: reader for path, reader in find_recordings(data, readers).items() if path.name not in known}
+    if len(missing) > MAX_CATCH_UP_RECORDINGS:
+        (data / BEHIND_MARKER_FILE).touch()
+        return
+    with explain_database_errors(store.url):
+        for path, reader in missing.items():
+            with store.write_transaction() as session:
+                ingest_recording(
+                    session, path, reader, RebuildResult()
+                )  # its faults are told with the list of recordings

@@ -1,0 +1,170 @@
+"""The index: takes wire messages, answers questions with wire messages. Blocks; see keeper.py for the event loop."""
+
+import contextlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from sqlalchemy import URL, Select, func, select
+from sqlalchemy.exc import DBAPIError, IntegrityError
+from sqlalchemy.orm import Session
+
+from app.index import queries
+from app.index.database import explain_database_errors, make_engine, make_writing_engine, migrate
+from app.index.database_errors import is_write_conflict
+from app.index.index_lock import IndexLock
+from app.index.ingest import IndexedMessage, ingest, line_key
+from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery, RunQuery
+from app.index.tables import AuditRow, FileRow, GraspRow, IndexTable, RunRow
+from app.messages.wire import Alarm, FileRecord, Grasp, GraspEnded, JournalEntry, Run, RunState
+
+MAX_TRIES = 5  # against another writer who is quicker
+M = TypeVar("M")
+
+
+@dataclass(frozen=True, slots=True)
+class Page(Generic[M]):
+    """One page, and how many there are on all."""
+
+    items: list[M]
+    total: int
+
+
+class Store:
+    """An open index, up to date and claimed for a service, or for a rebuild `alone`. May be used from several threads.
+
+    Raises:
+        ConfigurationError: PostgreSQL's driver is missing.
+        ServiceError: it cannot be opened; the text says why and what to do next.
+    """
+
+    def __init__(self, url: URL, *, exclusive: bool = False) -> None:
+        self.url = url
+        self._engine = make_engine(url)
+        self._index_lock = IndexLock(self._engine, exclusive=exclusive)
+        try:
+            migrate(self._engine)
+            if not exclusive:
+                self._index_lock.downgrade_to_shared()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def is_first_user(self) -> bool:
+        """Whether no other service used it when this one came."""
+        return self._index_lock.is_first_user
+
+    def close(self) -> None:
+        self._index_lock.close()
+        self._engine.dispose()
+
+    # --- take --------------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def write_transaction(self) -> Iterator[Session]:
+        """A transaction: all of it is written, or nothing."""
+        with Session(make_writing_engine(self._engine)) as session, session.begin():
+            yield session
+
+    def ingest(self, message: IndexedMessage, run_id: str | None = None) -> None:
+        """Put a wire message into the index; the same twice changes nothing. `run_id`: of a grasp that says none.
+
+        Raises:
+            DBAPIError: it could not be written.
+        """
+        self.ingest_all([(message, run_id)])
+
+    def ingest_all(self, messages: Iterable[tuple[IndexedMessage, str | None]]) -> None:
+        """The same for many at once: all or none."""
+        messages = list(messages)
+        for left in reversed(range(MAX_TRIES)):
+            try:
+                with self.write_transaction() as session:
+                    for message, run_id in messages:
+                        ingest(session, message, run_id)
+                return
+            except DBAPIError as error:
+                if not left or not (is_write_conflict(error) or isinstance(error, IntegrityError)):
+                    raise
+
+    def ingest_new_lines(self, entries: list[JournalEntry]) -> None:
+        """Those lines of the journal that are not there yet."""
+        keys = {line_key(entry): entry for entry in entries}
+        with Session(self._engine) as session:
+            known = set(session.scalars(select(AuditRow.key).where(AuditRow.key.in_(keys))))
+        self.ingest_all((entry, None) for key, entry in keys.items() if key not in known)
+
+    # --- ask ---------------------------------------------------------------------------------------------------------
+
+    def find_runs(self, query: RunQuery) -> Page[Run]:
+        rows, total = self._fetch_page(queries.select_runs(query), query)
+        return Page([_to_run(row) for row in rows], total)
+
+    def get_run(self, run_id: str) -> Run | None:
+        row = self._get_row(RunRow, run_id)
+        return _to_run(row) if row and row.message is not None else None
+
+    def find_unfinished_runs(self) -> list[Run]:
+        """Runs that are said to be under way."""
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            query = select(RunRow).where(RunRow.state == RunState.RUNNING.value).order_by(RunRow.started_ms)
+            return [_to_run(row) for row in session.scalars(query)]
+
+    def find_grasps(self, query: GraspQuery) -> Page[GraspEnded]:
+        rows, total = self._fetch_page(queries.select_grasps(query), query)
+        return Page([GraspEnded.model_validate(row.message) for row in rows], total)
+
+    def list_run_grasps(self, run_id: str) -> list[Grasp]:
+        """All of a run, in order."""
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            rows = session.scalars(select(GraspRow).where(GraspRow.run_id == run_id).order_by(GraspRow.index))
+            return [GraspEnded.model_validate(row.message).grasp for row in rows]
+
+    def find_alarms(self, query: AlarmQuery) -> Page[Alarm]:
+        rows, total = self._fetch_page(queries.select_alarms(query), query)
+        return Page([Alarm.model_validate(row.message) for row in rows], total)
+
+    def find_audit_entries(self, query: AuditQuery) -> Page[JournalEntry]:
+        rows, total = self._fetch_page(queries.select_audit_entries(query), query)
+        return Page([JournalEntry.model_validate(row.message) for row in rows], total)
+
+    def list_chain_positions(self) -> list[queries.ChainPosition]:
+        """Every line that has its place in the journal's chain."""
+        with explain_database_errors(self.url), self._engine.connect() as connection:
+            return queries.fetch_chain_positions(connection)
+
+    def find_files(self, query: FileQuery) -> Page[FileRecord]:
+        rows, total = self._fetch_page(queries.select_files(query), query)
+        return Page([FileRecord.model_validate(row.message) for row in rows], total)
+
+    def get_file(self, name: str) -> FileRecord | None:
+        row = self._get_row(FileRow, name)
+        return FileRecord.model_validate(row.message) if row else None
+
+    def list_file_names(self) -> set[str]:
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            return set(session.scalars(select(FileRow.name)))
+
+    def dump(self) -> dict[str, list[dict[str, object]]]:
+        """Everything, sorted: two indexes are equal if this is."""
+        with explain_database_errors(self.url), self._engine.connect() as connection:
+            return {
+                name: [dict(row) for row in connection.execute(table.select().order_by(*table.primary_key)).mappings()]
+                for name, table in IndexTable.metadata.tables.items()
+            }
+
+    def _get_row(self, table: type[RunRow] | type[FileRow], key: str) -> RunRow | FileRow | None:
+        if "\0" in key:
+            return None  # nothing is called so, and PostgreSQL does not even take the question
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            return session.get(table, key)
+
+    def _fetch_page(self, statement: Select, query: PageQuery) -> tuple[list, int]:
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            total = session.scalar(select(func.count()).select_from(statement.order_by(None).subquery()))
+            return list(session.scalars(statement.limit(query.limit).offset(query.offset))), total or 0
+
+
+def _to_run(row: RunRow) -> Run:
+    return Run.model_validate({**(row.message or {}), "grasps": row.grasps})

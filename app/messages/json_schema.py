@@ -1,0 +1,124 @@
+"""The contract of `wire.py` as one JSON schema, from which the dashboard's TypeScript types are generated.
+
+`python -m app.messages.json_schema` writes it to `frontend/src/wire.schema.json`, which is committed; a test
+compares the two.
+"""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode
+
+from app.messages import wire
+
+SCHEMA_FILE = Path(__file__).parents[2] / "frontend" / "src" / "wire.schema.json"
+
+SENT_BY_SERVER = (
+    "ServerMessage",
+    "Run",
+    "ProtocolInfo",
+    "LibraryInfo",
+    "Grasp",
+    "StopAnswer",
+    "Health",
+    "Problem",
+    "Alarm",
+    "JournalEntry",
+    "JournalCheck",
+    "Recordings",
+    "BinContent",
+    "Studies",
+    "StudyRun",
+    "System",
+    "SafetyReport",
+    "SessionInfo",
+    "ControlInfo",
+    "Calibration",
+)
+SENT_BY_BROWSER = (
+    "RunRequest",
+    "ArmRequest",
+    "StopRequest",
+    "FrameReceived",
+    "AcknowledgeRequest",
+    "ReplayControl",
+    "StudyRequest",
+    "SignIn",
+    "ControlRequest",
+    "CalibrationRequest",
+)
+
+# Fields of `FRAME_HEADER`, in order
+HEADER_FIELDS = ("magic", "kind", "stride", "columns", "rows", "sequence", "first_tick", "newest_ms")
+
+
+class _TypeScriptSchemaGenerator(GenerateJsonSchema):
+    """No titles on fields, which would become types of their own; what the server sends is always complete."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+    def field_is_required(self, field: Any, total: bool) -> bool:
+        return self.mode == "serialization" or super().field_is_required(field, total)
+
+
+def build_schema() -> dict[str, Any]:
+    """Every message and body under `$defs`; the binary frame's header under `x-frame`."""
+    modes: list[tuple[tuple[str, ...], JsonSchemaMode]] = [
+        (SENT_BY_SERVER, "serialization"),
+        (SENT_BY_BROWSER, "validation"),
+    ]
+    inputs = [(name, mode, TypeAdapter(getattr(wire, name))) for names, mode in modes for name in names]
+    roots, rest = TypeAdapter.json_schemas(
+        inputs, ref_template="#/$defs/{model}", schema_generator=_TypeScriptSchemaGenerator
+    )
+    definitions = dict(rest["$defs"])
+    for (name, _), root in roots.items():
+        definitions.setdefault(name, root)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Wire",
+        "description": "Written by `python -m app.messages.json_schema`; change `app/messages/wire.py` instead.",
+        "$defs": dict(sorted(definitions.items())),
+        "x-schema-version": wire.SCHEMA_VERSION,
+        "x-frame": describe_frame_layout(),
+    }
+
+
+def describe_frame_layout() -> dict[str, Any]:
+    """Magic, size, kinds, and the byte offset of each header field with its `struct` code."""
+    order, *codes = _split_struct_codes(wire.FRAME_HEADER.format)
+    if len(codes) != len(HEADER_FIELDS):
+        raise RuntimeError("FRAME_HEADER changed: bring HEADER_FIELDS in app/messages/json_schema.py up to date")
+    offsets = [struct.calcsize(order + "".join(codes[:i])) for i in range(len(codes))]
+    return {
+        "magic": wire.FRAME_MAGIC.decode("ascii"),
+        "format": wire.FRAME_HEADER.format,
+        "header_bytes": wire.FRAME_HEADER.size,
+        "kinds": {str(kind): code for kind, code in wire.FRAME_KINDS.items()},
+        "offsets": dict(zip(HEADER_FIELDS, offsets, strict=True)),
+    }
+
+
+def _split_struct_codes(layout: str) -> list[str]:
+    """`<4sBB` to `<`, `4s`, `B`, `B`."""
+    codes, count = [layout[0]], ""
+    for char in layout[1:]:
+        count += char
+        if not char.isdigit():
+            codes.append(count)
+            count = ""
+    return codes
+
+
+def render_schema() -> str:
+    """The file's exact content."""
+    return json.dumps(build_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    SCHEMA_FILE.write_text(render_schema(), encoding="utf-8")
+    print(f"wrote {SCHEMA_FILE}")

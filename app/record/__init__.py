@@ -1,1 +1,0 @@
-"""Recording of runs: the recorder process, its files, and what becomes of one that was cut off."""

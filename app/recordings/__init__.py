@@ -1,0 +1,1 @@
+"""How runs are written, found, repaired, replayed and exchanged."""

@@ -1,0 +1,172 @@
+"""The shelf: which recordings can be replayed."""
+
+import asyncio
+import stat
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from acquisition.recordings.mcap_layout import RAW_TOPIC
+from acquisition.recordings.mcap_reader import McapFile
+from acquisition.recordings.recording import RecordingSource, read_recorded_tool
+from app.host.background_process import SendMessage, run_in_background_process
+from app.messages.wire import RecordingInfo, Recordings
+from config.errors import GraspwatchError, RecordingError, RefusedError
+from config.schema import Tool
+from config.service_plan import ServicePlan
+
+RECORDING_SUFFIXES = (".mcap", ".lvm", ".lvm.gz")
+RETRY_ADVICE = "Ask for the list again."
+MAX_FILES_PER_READ = 50  # files: then those come first that are new meanwhile
+
+
+@dataclass(frozen=True, slots=True)
+class _CatalogFile:
+    """A file as it was found; another size or time of change makes it another one."""
+
+    path: Path
+    size_bytes: int
+    modified_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class _FileSummary:
+    """What reading a file gave: its duration, or why it cannot be read."""
+
+    duration_s: float | None = None
+    problem: str | None = None
+    metadata: dict[str, str] = field(default_factory=dict)  # of the run, where the file knows one
+    is_complete: bool = True
+
+
+def open_recording(path: Path, tool: Tool) -> RecordingSource:
+    """Read a recording, to be played as fast as it goes.
+
+    Raises:
+        RecordingError: it cannot be read; names the file, without its folder, and the line.
+    """
+    try:
+        return RecordingSource(path, tool)
+    except RecordingError as error:
+        raise RecordingError(str(error).replace(str(path), path.name)) from None
+
+
+def read_files(send: SendMessage, files: list[_CatalogFile], tool: Tool) -> None:
+    """Read files one after the other; tells each with what was found."""
+    for file in files:
+        try:
+            send((file, _read_file(file.path, tool)))
+        except RecordingError as error:
+            send((file, _FileSummary(problem=str(error).replace(str(file.path), file.path.name))))
+
+
+def _read_file(path: Path, tool: Tool) -> _FileSummary:
+    """What a file holds; of a whole MCAP file only its beginning and its end are read."""
+    if path.suffix != ".mcap":
+        return _FileSummary(open_recording(path, tool).duration_s)
+    container = McapFile(path)
+    if container.complete:
+        samples = container.message_counts.get(RAW_TOPIC, 0)
+        return _FileSummary(samples / read_recorded_tool(container).board.sample_rate_hz, metadata=container.metadata)
+    return _FileSummary(open_recording(path, tool).duration_s, metadata=container.metadata, is_complete=False)
+
+
+class RecordingCatalog:
+    """The recordings of the data folder, and those named on the command line, wherever they are."""
+
+    def __init__(self, plan: ServicePlan) -> None:
+        self._plan = plan
+        self._opened_recordings = _assign_names(plan.opened_recordings)
+        self._summaries: dict[_CatalogFile, _FileSummary] = {}
+        self._read_task: asyncio.Task[None] | None = None
+
+    async def list_recordings(self) -> Recordings:
+        """At once what is known: those of the command line first, then the newest; the rest is read meanwhile."""
+        files = await asyncio.to_thread(self._scan_files)
+        self._summaries = {file: self._summaries[file] for file in files.values() if file in self._summaries}
+        unread = [file for file in files.values() if file not in self._summaries]
+        if unread and (self._read_task is None or self._read_task.done()):
+            self._read_task = asyncio.create_task(self._read_in_background(unread[:MAX_FILES_PER_READ]))
+        return Recordings(
+            folder=str(self._plan.recordings_folder), recordings=[self._build_info(*item) for item in files.items()]
+        )
+
+    async def find_path(self, name: str) -> Path:
+        """The file of a recording: only what the list shows can be named.
+
+        Raises:
+            RefusedError: there is no such recording.
+        """
+        file = (await asyncio.to_thread(self._scan_files)).get(name)
+        if file is None:
+            raise RefusedError(f"There is no recording {name!r}. GET /api/recordings lists them.", "name")
+        return file.path
+
+    def is_opened(self, path: Path) -> bool:
+        """Whether it was named on the command line."""
+        return path in self._opened_recordings.values()
+
+    async def aclose(self) -> None:
+        """End the reading."""
+        if self._read_task:
+            self._read_task.cancel()
+            await asyncio.gather(self._read_task, return_exceptions=True)
+
+    def _scan_files(self) -> dict[str, _CatalogFile]:
+        opened = {name: file for name, path in self._opened_recordings.items() if (file := _stat_file(path))}
+        folder = self._plan.recordings_folder.resolve()
+        named = [
+            path for path in folder.glob("*") if path.name.endswith(RECORDING_SUFFIXES) and path.name.isprintable()
+        ]
+        inside = [path for path in named if not path.is_symlink() or path.resolve().parent == folder]
+        files = [file for path in inside if (file := _stat_file(path))]
+        files.sort(key=lambda file: file.modified_ns, reverse=True)
+        return opened | {file.path.name: file for file in files if file.path.name not in opened}
+
+    async def _read_in_background(self, unread: list[_CatalogFile]) -> None:
+        def keep(read: tuple[_CatalogFile, _FileSummary]) -> None:
+            self._summaries.update([read])
+
+        try:
+            await run_in_background_process(
+                "shelf", read_files, unread, self._plan.recording_tool, on_message=keep, advice=RETRY_ADVICE
+            )
+        except GraspwatchError as error:  # it died of the first that it did not tell of; the others come next time
+            broken = [file for file in unread if file not in self._summaries]
+            self._summaries |= dict.fromkeys(broken[:1], _FileSummary(problem=str(error)))
+
+    def _build_info(self, name: str, file: _CatalogFile) -> RecordingInfo:
+        content = self._summaries.get(file, _FileSummary())
+        facts = content.metadata
+        modified = datetime.fromtimestamp(file.modified_ns / 1e9, UTC).isoformat(timespec="seconds")
+        return RecordingInfo(
+            name=name,
+            size_bytes=file.size_bytes,
+            modified_at=modified,
+            duration_s=content.duration_s,
+            problem=content.problem,
+            whole=content.is_complete,
+            run_id=facts.get("run_id"),
+            protocol=facts.get("protocol"),
+            tissue=facts.get("tissue") or None,
+            by=facts.get("by") or None,
+        )
+
+
+def _assign_names(paths: tuple[Path, ...]) -> dict[str, Path]:
+    """Files by their names, those of equal names numbered."""
+    named: dict[str, Path] = {}
+    for path in dict.fromkeys(path.resolve() for path in paths):
+        stem, dot, endings = path.name.partition(".")
+        names = [path.name, *(f"{stem} ({n}){dot}{endings}" for n in range(2, len(paths) + 1))]
+        named[next(name for name in names if name not in named)] = path
+    return named
+
+
+def _stat_file(path: Path) -> _CatalogFile | None:
+    """None for what is no file, or is none any more."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return _CatalogFile(path, found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None

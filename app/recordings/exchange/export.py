@@ -1,0 +1,134 @@
+"""A recorded run for other programs: CSV, Parquet, MATLAB, or its MCAP file as it is."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import scipy.io
+
+from acquisition.recordings.mcap_reader import McapFile
+from app.recordings.exchange.export_formats import ExportFormat
+from app.recordings.run_reader import RecordedRun, build_run_columns, read_run
+from config.errors import RecordingError
+
+MAX_MAT_VARIABLE_BYTES = 2**31  # of one variable in MATLAB's format of version 5
+
+
+def export_run(source: Path, target: Path, export_format: ExportFormat) -> list[Path]:
+    """Write a run's file as another; returns what was written, complete or not at all.
+
+    CSV and Parquet hold a row for each sample, and beside it a file `…-grasps` with a row for each grasp; a MATLAB file
+    holds both as structures. Column names carry their units; there is no value where a cell is empty (CSV) or NaN.
+
+    Raises:
+        RecordingError: the source cannot be read, the target exists or cannot be written.
+    """
+    grasps = target.with_name(f"{target.stem}-grasps{target.suffix}")
+    targets = [target, grasps] if export_format in (ExportFormat.CSV, ExportFormat.PARQUET) else [target]
+    for path in targets:
+        if path.exists():
+            raise RecordingError(f"{path}: exists already, and is kept. Name another file with --out.")
+    provisional = {path: path.with_name(f".{path.name}.part") for path in targets}
+    try:
+        if export_format is ExportFormat.MCAP:
+            McapFile(source)  # says what is wrong with it
+            shutil.copyfile(source, provisional[target])
+        else:
+            run = read_run(source)
+            _WRITERS[export_format](run, *provisional.values())
+        for path, part in provisional.items():
+            part.rename(path)
+    except OSError as error:
+        raise RecordingError(f"{target}: cannot be written ({error.strerror}). Make room, or name another.") from None
+    finally:
+        for part in provisional.values():
+            part.unlink(missing_ok=True)
+    return targets
+
+
+def _build_metadata(run: RecordedRun) -> dict[str, str]:
+    tool, library = run.recording_context.tool, run.recording_context.library
+    return run.metadata | {
+        "force_scale": tool.scale_text,
+        "tool_file": tool.model_dump_json(),
+        "tissue_library": library.model_dump_json(),
+    }
+
+
+def _build_sample_table(run: RecordedRun) -> pa.Table:
+    return pa.table(build_run_columns(run)).replace_schema_metadata(_build_metadata(run))
+
+
+def _build_grasp_rows(run: RecordedRun) -> list[dict[str, object]]:
+    """Grasps with one value a cell: what is told of each tissue gets a column of its own."""
+    rows = []
+    for grasp in run.grasps:
+        row: dict[str, object] = {}
+        for name, value in grasp.model_dump(mode="json").items():
+            if isinstance(value, dict):
+                row |= {f"{name}_{tissue}": each for tissue, each in value.items()}
+            else:
+                row[name] = "; ".join(value) if isinstance(value, list) else value
+        rows.append(row)
+    return rows
+
+
+def _write_csv(run: RecordedRun, samples: Path, grasps: Path) -> None:
+    table = _build_sample_table(run)
+    columns = [_nan_to_null(column) for column in table.columns]
+    pyarrow.csv.write_csv(pa.table(columns, names=table.column_names), samples)
+    pyarrow.csv.write_csv(pa.Table.from_pylist(_build_grasp_rows(run)), grasps)
+
+
+def _nan_to_null(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """An empty cell in place of NaN."""
+    if not pa.types.is_floating(column.type):
+        return column
+    return pa.chunked_array([pa.array(chunk.to_numpy(), from_pandas=True) for chunk in column.chunks])
+
+
+def _write_parquet(run: RecordedRun, samples: Path, grasps: Path) -> None:
+    pyarrow.parquet.write_table(_build_sample_table(run), samples, compression="zstd")
+    pyarrow.parquet.write_table(pa.Table.from_pylist(_build_grasp_rows(run)), grasps)
+
+
+def _write_mat(run: RecordedRun, target: Path) -> None:
+    columns = build_run_columns(run)
+    if max(values.nbytes for values in columns.values()) >= MAX_MAT_VARIABLE_BYTES:
+        raise RecordingError(f"{run.path}: is too long for a MATLAB file. Export it as parquet.")
+    rows = _build_grasp_rows(run)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    grasps = {name[:63]: _to_matlab_column([row.get(name) for row in rows]) for name in names}
+    about = {key: value for key, value in _build_metadata(run).items() if value}
+    with target.open("wb") as file:  # given a name, scipy would add an ending to it
+        scipy.io.savemat(
+            file,
+            {
+                "samples": {name[:63]: values for name, values in columns.items()},
+                "grasps": grasps,
+                "about": json.dumps(about),
+            },
+            do_compression=True,
+            long_field_names=True,
+        )
+
+
+def _to_matlab_column(values: list[object]) -> np.ndarray:
+    """A column of numbers, NaN where there is none; or of texts, as cells."""
+    if all(isinstance(value, int | float | None) for value in values):
+        return np.array([np.nan if value is None else float(value) for value in values])
+    cells = np.empty(len(values), object)
+    cells[:] = ["" if value is None else str(value) for value in values]
+    return cells
+
+
+_WRITERS: dict[ExportFormat, Callable[..., None]] = {
+    ExportFormat.CSV: _write_csv,
+    ExportFormat.PARQUET: _write_parquet,
+    ExportFormat.MAT: _write_mat,
+}

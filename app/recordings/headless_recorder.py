@@ -1,0 +1,188 @@
+"""The recording of a run without a service: the same file, written by the process that also acquires and estimates."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from pydantic import BaseModel
+
+from acquisition.recordings import mcap_layout
+from acquisition.sample_block import SampleBlock
+from app.messages.wire import AlarmKind, Grasp, GraspEnded, Run, RunState
+from app.recordings.mcap_writer import RECORDING_SUFFIX, McapRunWriter, RecordingContext
+from app.recordings.topics import RUN_TOPIC, encode_message, find_topic
+from app.stream.alarms import AlarmManager
+from app.stream.event_translator import EventTranslator
+from config.errors import RecordingError
+from config.schema import GraspProtocol
+from estimator.estimate_block import EstimateBlock, GraspRecord
+
+FLUSH_SAMPLES = 1_000
+
+
+def create_run(run_id: str, protocol: str, cycles: int, tissue: str | None) -> Run:
+    """A run that begins now."""
+    return Run(
+        id=run_id,
+        protocol=protocol,
+        cycles=cycles,
+        tissue=tissue,
+        by=None,
+        state=RunState.RUNNING,
+        started_at=datetime.now(UTC).isoformat(),
+        ended_at=None,
+        why=None,
+        grasps=0,
+    )
+
+
+class HeadlessRecorder:
+    """Writes what is taken, and what a viewer would have been told of it. Entered once, before the first block.
+
+    The times in it are those of the sample clock, counted from `started_ns`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        recording_context: RecordingContext,
+        run: Run,
+        protocol: GraspProtocol | None = None,
+        *,
+        started_ns: int | None = None,
+        metadata: dict[str, str] | None = None,
+        discard_on_error: bool = False,
+    ) -> None:
+        """`started_ns`: of the first sample, ns since 1970; None: now. `about`: what else is to be known.
+
+        With `can_be_repeated`, an error leaves no file behind.
+        """
+        self._path, self._recording_context, self.run, self._protocol = path, recording_context, run, protocol
+        self._started_ns = time.time_ns() if started_ns is None else started_ns
+        self._metadata, self._discard_on_error = metadata or {}, discard_on_error
+        self._sample_period_ns = 1e9 / recording_context.tool.board.sample_rate_hz
+        self._first_tick = self._now_ns = 0
+        self._file: McapRunWriter | None = None
+        self._next_flush_samples = FLUSH_SAMPLES
+        self._last_estimate: EstimateBlock | None = None
+        self._alarms = AlarmManager(self._publish)
+        self._translator = EventTranslator(
+            recording_context.library,
+            recording_context.tool.board.sample_rate_hz,
+            self._alarms,
+            self._publish,
+            self._publish_grasp,
+        )
+
+    def __enter__(self) -> Self:
+        if self._path.suffix != RECORDING_SUFFIX:
+            raise RecordingError(f"{self._path}: the name of a recording ends with {RECORDING_SUFFIX}.")
+        if self._path.exists():
+            raise RecordingError(f"{self._path}: exists already, and is kept. Name another file.")
+        if not self._path.parent.is_dir():
+            raise RecordingError(f"{self._path}: cannot be made, its folder does not exist. Make it first.")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        file, self._file = self._file, None
+        if file is None:
+            return
+        if error and self._discard_on_error:
+            file.abandon()
+            self._path.unlink(missing_ok=True)
+        elif isinstance(error, RecordingError):  # there is no room: what was written before can be read
+            file.abandon()
+        else:
+            with self._explain_disk_errors():
+                file.close()
+
+    def append(self, block: SampleBlock, estimate: EstimateBlock) -> None:
+        """A block and its estimates.
+
+        Raises:
+            RecordingError: the disk is full or gone.
+        """
+        if self._file is None:
+            self._first_tick = int(block.samples["tick"][0])
+        self._now_ns = round((int(block.samples["tick"][-1]) + 1 - self._first_tick) * self._sample_period_ns)
+        with self._explain_disk_errors():
+            file = self._file = self._file or self._open_file()
+            file.add_samples(replace(block, t_mono_ns=self._now_ns))
+            file.add_estimates(estimate.estimates, estimate.sequence, self._now_ns)
+            self._translate(estimate)
+            if file.samples >= self._next_flush_samples:
+                self._next_flush_samples = file.samples + FLUSH_SAMPLES
+                file.flush(sync=False)
+
+    def _translate(self, estimate: EstimateBlock) -> None:
+        self._last_estimate = estimate
+        at_ms = (self._started_ns + self._now_ns) / 1e6
+        self._translator.process(estimate, at_ms, at_ms)
+
+    def add_release_alarm(self, text: str) -> None:
+        """The limiter let the grasp go."""
+        with self._explain_disk_errors():
+            self._alarms.raise_latched("let-go", AlarmKind.FORCE, text, (self._started_ns + self._now_ns) / 1e6)
+
+    def add_interrupted_grasp(self, grasp: GraspRecord | None) -> None:
+        """The grasp that the end cut short, if there is one."""
+        if grasp and self._last_estimate:
+            with self._explain_disk_errors():
+                self._translate(replace(self._last_estimate, ended=(grasp,), alarms=(), withdrawn=()))
+
+    def end_run(self, state: RunState, why: str) -> None:
+        """The run is over."""
+        self.run = self.run.model_copy(update={"state": state, "why": why, "ended_at": datetime.now(UTC).isoformat()})
+        with self._explain_disk_errors():
+            self._write_message(RUN_TOPIC, self.run)
+
+    def _open_file(self) -> McapRunWriter:
+        run, tick = self.run, str(self._first_tick)
+        about = {
+            "run_id": run.id,
+            "run_first_tick": tick,
+            "first_tick": tick,
+            "wall_offset_ns": str(self._started_ns),
+            "protocol": run.protocol,
+            "tissue": run.tissue or "",
+            "by": "",
+            **self._metadata,
+        }
+        attached = (
+            {mcap_layout.PROTOCOL_ATTACHMENT: self._protocol.model_dump_json(indent=2).encode()}
+            if self._protocol
+            else {}
+        )
+        self._file = McapRunWriter(self._path, self._recording_context, about, attached, self._started_ns)
+        self._write_message(RUN_TOPIC, run)
+        return self._file
+
+    def _publish_grasp(self, grasp: Grasp) -> None:
+        self.run = self.run.model_copy(update={"grasps": self.run.grasps + 1})
+        self._publish(GraspEnded(run_id=self.run.id, grasp=grasp.model_copy(update={"index": self.run.grasps})))
+
+    def _publish(self, message: BaseModel) -> None:
+        topic = find_topic(message)
+        if topic:
+            self._write_message(topic, message)
+
+    def _write_message(self, topic: str, message: BaseModel) -> None:
+        if self._file:
+            self._file.add_message(topic, encode_message(message), self._started_ns + self._now_ns)
+
+    @contextlib.contextmanager
+    def _explain_disk_errors(self) -> Iterator[None]:
+        """What a disk says, as a person is told."""
+        try:
+            yield
+        except OSError as error:
+            raise RecordingError(
+                f"{self._path}: cannot be written ({error.strerror}). Make room, or name another file."
+            ) from None

@@ -1,0 +1,246 @@
+"""Writes one run to an MCAP file: raw and conditioned samples, estimates, and what was told and done meanwhile."""
+
+import contextlib
+import fcntl
+import json
+import os
+import platform
+import time
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from pydantic import ValidationError
+
+from acquisition.recordings import mcap_layout
+from acquisition.recordings.mcap_reader import McapFile
+from acquisition.recordings.protobuf_rows import RowLayout
+from acquisition.recordings.recording import read_recorded_tool
+from acquisition.sample_block import SampleBlock
+from app import __version__
+from app.recordings.topics import TOPIC_MODELS, build_json_schema
+from config.errors import RecordingError
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.estimate_rows import estimate_columns, row_layouts
+
+RECORDING_SUFFIX = ".mcap"
+CHUNK_BYTES = 4 * 2**20  # never reached: a chunk ends with each flush
+FLUSH_PERIOD_S = 0.25
+MAX_BLOCKS_PER_FLUSH = 200  # three times as many as come meanwhile
+SYNC_TIMEOUT_S = 2.0
+"""So long a disk may take for what a flush gave it, before whoever writes waits for it, and is missed."""
+VERSIONED_PACKAGES = ("numpy", "scipy", "numba", "nidaqmx", "mcap")  # whose versions have a say in what is recorded
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingContext:
+    """What a recording is made with."""
+
+    tool: Tool
+    library: TissueLibrary
+    settings: Settings
+
+    @classmethod
+    def from_file(cls, container: McapFile) -> Self:
+        """What a file was recorded with.
+
+        Raises:
+            RecordingError: it is not in the file, or not as this version describes it.
+        """
+        try:
+            return cls(
+                read_recorded_tool(container),
+                TissueLibrary.model_validate_json(container.attachments[mcap_layout.LIBRARY_ATTACHMENT]),
+                Settings.model_validate_json(container.attachments[mcap_layout.SETTINGS_ATTACHMENT]),
+            )
+        except (KeyError, ValidationError) as error:
+            why = str(error).splitlines()[0]
+            raise RecordingError(
+                f"{container.path}: what it was recorded with cannot be read ({why}). Leave --as-recorded out."
+            ) from None
+
+    def attachments(self) -> dict[str, bytes]:
+        return {
+            mcap_layout.TOOL_ATTACHMENT: self.tool.model_dump_json(indent=2).encode(),
+            mcap_layout.LIBRARY_ATTACHMENT: self.library.model_dump_json(indent=2).encode(),
+            mcap_layout.SETTINGS_ATTACHMENT: self.settings.model_dump_json(indent=2).encode(),
+            mcap_layout.VERSIONS_METADATA_NAME: json.dumps(collect_versions(), indent=2).encode(),
+        }
+
+
+def collect_versions() -> dict[str, str]:
+    """Of Graspwatch, of Python, and of the parts that compute."""
+    return {"graspwatch": __version__, "python": platform.python_version(), "machine": platform.machine()} | {
+        name: version(name) for name in VERSIONED_PACKAGES
+    }
+
+
+@dataclass(slots=True)
+class _PendingRows:
+    """Rows of one topic that wait for the next flush."""
+
+    rows: RowLayout
+    channel: int
+    columns: list[Mapping[str, np.ndarray]] = field(default_factory=list)
+    sequences: list[int] = field(default_factory=list)
+    published_ns: list[int] = field(default_factory=list)
+
+
+class McapRunWriter:
+    """One file. What was added is on its way to the disk with the next `flush`; `close` makes the file whole."""
+
+    def __init__(
+        self,
+        path: Path,
+        recording_context: RecordingContext,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes],
+        wall_offset_ns: int,
+    ) -> None:
+        """`about`: run id, first tick of the run and the like; `wall_offset_ns`: from `t_mono_ns` to ns since 1970.
+
+        Raises:
+            OSError: it cannot be made; a file of that name is never overwritten.
+        """
+        self.path = path
+        self.samples = self.lost_samples = 0
+        self._wall_offset_ns = wall_offset_ns  # taken once: the computer's clock may be set meanwhile
+        self._tissues = list(recording_context.library.tissues)
+        self._sample_period_ns = 1e9 / recording_context.tool.board.sample_rate_hz
+        self._clock_anchor: tuple[int, int] | None = None  # a tick and its time, ns since 1970
+        self._file = path.open("xb")
+        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until this process closes it, or dies
+        self._sync_executor = ThreadPoolExecutor(1, "disk")
+        self._sync_future: Future[None] | None = None  # what was last asked of the disk
+        self._sync_started_s = 0.0
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(mcap_layout.PROFILE, f"graspwatch {__version__}")
+        self._writer.add_metadata(mcap_layout.METADATA_NAME, self._build_metadata(recording_context, metadata))
+        now_ns = time.time_ns()
+        for name, data in {**recording_context.attachments(), **attachments}.items():
+            self._writer.add_attachment(now_ns, now_ns, name, "application/json", data)
+        kinds = row_layouts(self._tissues).items()
+        self._pending = {topic: _PendingRows(rows, self._register_channel(topic, rows)) for topic, rows in kinds}
+        self._message_channels = {
+            topic: self._writer.register_channel(
+                topic, "json", self._writer.register_schema(model.__name__, "jsonschema", build_json_schema(model))
+            )
+            for topic, model in TOPIC_MODELS.items()
+        }
+        self.flush()
+
+    def _build_metadata(self, recording_context: RecordingContext, metadata: Mapping[str, str]) -> dict[str, str]:
+        calibration = recording_context.tool.calibration
+        return {
+            "format_version": str(mcap_layout.FORMAT_VERSION),
+            "graspwatch": __version__,
+            "tool": recording_context.tool.name,
+            "library": recording_context.library.name,
+            "calibrated": calibration.date,
+            "calibrated_by": calibration.person,
+            "force_scale": recording_context.tool.scale_text,
+            "sample_rate_hz": f"{recording_context.tool.board.sample_rate_hz:g}",
+            "clock": "log time: the sample clock, set to the computer's clock at the first sample; "
+            "publish time: the computer's clock when the block had been read",
+            **metadata,
+        }
+
+    def _register_channel(self, topic: str, rows: RowLayout) -> int:
+        schema = self._writer.register_schema(rows.schema_name, "protobuf", rows.descriptor_set)
+        return self._writer.register_channel(topic, "protobuf", schema)
+
+    def add_samples(self, block: SampleBlock) -> None:
+        """Take a block of samples."""
+        read_ns = block.t_mono_ns + self._wall_offset_ns
+        if self._clock_anchor is None:
+            last_tick = int(block.samples["tick"][-1])
+            self._clock_anchor = (last_tick + 1, read_ns)
+        self.samples += len(block.samples)
+        self.lost_samples += block.lost_samples
+        self._add_rows(mcap_layout.RAW_TOPIC, mcap_layout.raw_columns(block), block.sequence, read_ns)
+        self._add_rows(mcap_layout.CONDITIONED_TOPIC, mcap_layout.conditioned_columns(block), block.sequence, read_ns)
+
+    def add_estimates(self, estimates: np.ndarray, sequence: int, published_ns: int) -> None:
+        """Take the estimates of a block; `published_ns` by the monotonic clock."""
+        columns = estimate_columns(estimates, self._tissues)
+        self._add_rows(mcap_layout.ESTIMATES_TOPIC, columns, sequence, published_ns + self._wall_offset_ns)
+
+    def _add_rows(self, topic: str, columns: Mapping[str, np.ndarray], sequence: int, published_ns: int) -> None:
+        pending = self._pending[topic]
+        pending.columns.append(columns)
+        pending.sequences.append(sequence)
+        pending.published_ns.append(published_ns)
+
+    def add_message(self, topic: str, content: bytes, at_ns: int) -> None:
+        """Take a JSON message; `at_ns` by the computer's clock."""
+        self._writer.add_message(self._message_channels[topic], at_ns, content, at_ns)
+
+    def flush(self, *, sync: bool = True) -> None:
+        """Write the oldest of what has been added, so that it outlives this process, and with `sync` soon the computer.
+
+        More than is added between two flushes, but not seconds of it: who writes them is not heard meanwhile.
+
+        Raises:
+            OSError: the disk is full or gone; perhaps told by a later flush.
+        """
+        for pending in self._pending.values():
+            self._write_rows(pending)
+        self._writer.flush()
+        if sync:
+            self._sync()
+
+    def _sync(self) -> None:
+        """Ask the disk for all that is written, without waiting: a slow one would make a recorder seem to hang."""
+        if self._sync_future:
+            if not self._sync_future.done() and time.monotonic() - self._sync_started_s < SYNC_TIMEOUT_S:
+                return
+            self._sync_future.result()
+        self._sync_future = self._sync_executor.submit(os.fdatasync, self._file.fileno())
+        self._sync_started_s = time.monotonic()
+
+    def _write_rows(self, pending: _PendingRows) -> None:
+        if not pending.columns:
+            return
+        now = slice(MAX_BLOCKS_PER_FLUSH)
+        blocks = pending.columns[now]
+        lengths = [len(columns["tick"]) for columns in blocks]
+        joined = {name: np.concatenate([columns[name] for columns in blocks]) for name in blocks[0]}
+        tick, at_ns = self._clock_anchor or (int(joined["tick"][0]), time.time_ns())
+        log_ns = at_ns + np.round((joined["tick"] - tick) * self._sample_period_ns).astype(np.int64)
+        data, size = pending.rows.encode(joined), pending.rows.row_bytes
+        sequences = np.repeat(pending.sequences[now], lengths).tolist()
+        published_ns = np.repeat(pending.published_ns[now], lengths).tolist()
+        add, channel = self._writer.add_message, pending.channel
+        for i, (at, published, sequence) in enumerate(zip(log_ns.tolist(), published_ns, sequences, strict=True)):
+            add(channel, at, data[i * size : (i + 1) * size], published, sequence)
+        del pending.columns[now], pending.sequences[now], pending.published_ns[now]
+
+    def close(self, **end_metadata: str) -> None:
+        """Make the file whole, with how it ended.
+
+        Raises:
+            OSError: the disk is full or gone; the file is readable up to its last flush.
+        """
+        try:
+            while any(pending.columns for pending in self._pending.values()):
+                self.flush(sync=False)
+            if self._sync_future:
+                self._sync_future.result()
+            counts = {"samples": str(self.samples), "lost_samples": str(self.lost_samples)}
+            self._writer.add_metadata(mcap_layout.END_METADATA_NAME, counts | end_metadata)
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Leave the file as it is: readable up to its last flush."""
+        self._sync_executor.shutdown()
+        with contextlib.suppress(OSError):  # what is still in its buffer finds no room
+            self._file.close()

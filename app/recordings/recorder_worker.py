@@ -1,0 +1,125 @@
+"""The recorder worker: a process that writes what the bus carries, run by run."""
+
+import gc
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import zmq
+
+from acquisition import bus
+from acquisition.worker_process import StopFlag, initialize_worker, limit_memory, take_server_priority
+from app.messages.wire import RunState
+from app.recordings.file_repair import recover_folder
+from app.recordings.mcap_writer import RecordingContext
+from app.recordings.recorder import PublishedEstimates, Recorder, RecordingStoppedError, RunMetadata
+from estimator.estimate_block import estimate_dtype
+
+POLL_MS = 100
+STATUS_PERIOD_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderSetup:
+    """All that the worker needs to know."""
+
+    parent_pid: int
+    endpoints: bus.Endpoints
+    folder: Path
+    recording_context: RecordingContext
+    realtime_priority: bool  # real-time, as the server's
+
+
+def main(setup: RecorderSetup) -> None:
+    """Run until a signal; first mends what a predecessor left cut off."""
+    stop = initialize_worker("recorder", setup.parent_pid)
+    limit_memory()
+    gc.freeze()  # else it takes all modules apart before it is seen to have failed, which took half a second
+    context = zmq.Context()
+    publisher = bus.open_publisher(context, setup.endpoints.recorder)
+    sources = bus.open_subscriber(context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events)
+    _RecorderWorker(setup, publisher).run(sources, stop)
+    context.destroy(linger=100)
+
+
+class _RecorderWorker:
+    """Hands what arrives to the recorder, and tells the server how that goes."""
+
+    def __init__(self, setup: RecorderSetup, publisher: zmq.Socket) -> None:
+        self._setup, self._publisher = setup, publisher
+        self._priority = take_server_priority(setup.realtime_priority)
+        self._recorder = Recorder(setup.folder, setup.recording_context)
+        self._estimate_dtype = estimate_dtype(len(setup.recording_context.library.tissues))
+        self._sample_sequence = bus.SequenceTracker()
+        self._last_status_s = 0.0
+
+    def run(self, sources: zmq.Socket, stop: StopFlag) -> None:
+        """Until told to stop; then the file is made whole."""
+        for path in recover_folder(self._setup.folder):
+            self._publish_notice("mended", file=path.name)
+        while not stop.is_set:
+            if sources.poll(POLL_MS):
+                self._run_and_report(lambda: self._on_message(sources.recv_multipart()))
+            if time.monotonic() - self._last_status_s > STATUS_PERIOD_S:
+                self._priority.renew()
+                self._publish_status()
+        self._run_and_report(lambda: self._recorder.close_file("the service was ended"))
+        self._publish_status()
+
+    def _run_and_report(self, work) -> None:
+        file = self._recorder.file
+        try:
+            work()
+        except RecordingStoppedError as stopped:
+            self._publish_notice("recording_stopped", text=str(stopped))
+        if self._recorder.finished_files or self._recorder.file is not file:
+            self._publish_status()
+
+    def _on_message(self, parts: list[bytes]) -> None:
+        match parts[0]:
+            case bus.SAMPLES_TOPIC:
+                block = bus.unpack_samples(parts)
+                if self._sample_sequence.is_out_of_order(block):
+                    return
+                if self._sample_sequence.is_restart(block.sequence):
+                    self._sample_sequence = bus.SequenceTracker()
+                self._sample_sequence.update(block.sequence, block.t_mono_ns)
+                self._recorder.add_samples(block)
+            case bus.ESTIMATES_TOPIC:
+                header = json.loads(parts[1])
+                estimates = np.frombuffer(parts[2], self._estimate_dtype)
+                self._recorder.add_estimates(PublishedEstimates(header["sequence"], header["published_ns"], estimates))
+            case bus.SERVER_MESSAGE_TOPIC:
+                self._recorder.add_message(*bus.unpack_server_message(parts))
+            case bus.NOTICE_TOPIC:
+                notice = bus.unpack_notice(parts)
+                match notice.pop("kind"):
+                    case "brief":
+                        self._recorder.announce_run(RunMetadata(**notice))
+                    case "run_ended":
+                        self._recorder.on_run_ended(notice["run_id"], RunState(notice["end"]), notice["why"])
+
+    def _publish_status(self) -> None:
+        """How it stands, which also says that this process is alive."""
+        self._last_status_s = time.monotonic()
+        for path in self._recorder.finished_files:
+            self._publish_notice("recorded", file=path.name)
+        self._recorder.finished_files.clear()
+        file = self._recorder.file
+        self._publish_notice(
+            "recording",
+            file=file.path.name if file else None,
+            samples=file.samples if file else 0,
+            missing_blocks=self._sample_sequence.missing,
+            realtime=str(self._priority),
+        )
+
+    def _publish_notice(self, kind: str, **content: object) -> None:
+        self._publisher.send_multipart(bus.pack_notice(kind, **content))
+
+
+def pack_run_metadata(run_metadata: RunMetadata) -> list[bytes]:
+    """What the server tells before it starts a run."""
+    return bus.pack_notice("brief", **asdict(run_metadata))

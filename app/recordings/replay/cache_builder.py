@@ -1,0 +1,155 @@
+"""Makes a recording's film: the same pipeline, estimation and words as of a live tool, written instead of sent."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from pydantic import BaseModel
+
+from acquisition.sample_block import SampleBlock
+from acquisition.signals.pipeline import ConditioningPipeline
+from app.messages.wire import Alarm, Grasp, GraspEnded, Identification, Priority
+from app.recordings.catalog import open_recording
+from app.recordings.replay.replay_cache import COLUMNS_FILE, INDEX_FILE, MESSAGES_FILE, TOOL_FILE, MessageKind
+from app.stream.alarms import AlarmManager
+from app.stream.event_translator import EventTranslator
+from app.stream.frames import build_channels, build_frame_columns
+from config.errors import ServiceError
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.estimate_block import EstimateBlock, GraspRecord
+
+MESSAGE_INTERVAL_TICKS = 20  # ticks: finer than a frame; as fine as a live tool's blocks (5) takes half as long again
+PROGRESS_STEP = 0.01
+RESERVED_DISK_SHARE = 0.5  # of the free disk: a live tool's recordings need it more
+
+
+def build_replay_cache(
+    send: Callable[[float], None], path: Path, tool: Tool, library: TissueLibrary, settings: Settings, folder: Path
+) -> None:
+    """Estimate a recording and write its film into `folder`; tells the share done.
+
+    `tool`: of recordings that do not say with which they were made.
+
+    Raises:
+        RecordingError: it cannot be read; names file and line.
+        ServiceError: there is not enough room for the film.
+    """
+    from estimator.online_estimator import TissueEstimator  # with the compiler, which the server does not need
+
+    recording = open_recording(path, tool)
+    tool = recording.tool
+    (folder / TOOL_FILE).write_text(tool.model_dump_json())
+    columns = len(build_channels(list(library.tissues)))
+    _check_disk_space(folder, 4 * columns * recording.sample_count)
+    shown = 0.0
+    with recording, (folder / COLUMNS_FILE).open("wb") as samples, (folder / MESSAGES_FILE).open("wb") as told:
+        shape = recording.sample_count, columns
+        np.lib.format.write_array_header_1_0(samples, {"descr": "<f4", "fortran_order": False, "shape": shape})
+        film = _ReplayCacheWriter(samples, told, tool, library)
+        pipeline, session = ConditioningPipeline(tool, settings.conditioning), TissueEstimator(tool, library, settings)
+        while (raw := recording.read_block()) is not None:
+            for block in _split_block(pipeline.process(raw)):
+                film.append(block, session.process(block))
+            if film.rows >= (shown + PROGRESS_STEP) * recording.sample_count:
+                shown = film.rows / recording.sample_count
+                send(shown)
+        film.finish(session.finish())
+    film.save_index(folder / INDEX_FILE)
+
+
+def _check_disk_space(folder: Path, needed_bytes: int) -> None:
+    free_bytes = shutil.disk_usage(folder).free
+    if needed_bytes > (1.0 - RESERVED_DISK_SHARE) * free_bytes:
+        raise ServiceError(
+            f"To be replayed it needs {needed_bytes / 1e9:.1f} GB of disk for a while; {free_bytes / 1e9:.1f} GB are "
+            "free, and half of that is kept for recordings. Make room, then open it again."
+        )
+
+
+def _split_block(block: SampleBlock) -> Iterator[SampleBlock]:
+    """Pieces of a block, so that what changes is told in time; cut where the estimator steps in any case.
+
+    What was lost was lost before the first.
+    """
+    edges = np.flatnonzero(np.diff(block.samples["tick"] // MESSAGE_INTERVAL_TICKS)) + 1
+    lost_samples = block.lost_samples
+    for samples in np.split(block.samples, edges):
+        yield replace(block, samples=samples, lost_samples=lost_samples)
+        lost_samples = 0
+
+
+class _ReplayCacheWriter:
+    """Writes a film block by block; in memory it keeps only where everything is."""
+
+    def __init__(self, samples: BinaryIO, told: BinaryIO, tool: Tool, library: TissueLibrary) -> None:
+        self._sample_file, self._message_file = samples, told
+        self._rate_hz, self._tissues = tool.board.sample_rate_hz, len(library.tissues)
+        self._alarms = AlarmManager(self._publish)
+        self._translator = EventTranslator(library, self._rate_hz, self._alarms, self._publish, self._publish_grasp)
+        self._segments: list[tuple[int, int]] = []  # first tick and first row
+        self._messages: list[tuple[int, int, int]] = []  # tick, kind, end
+        self._alarm_ids: list[str] = []
+        self._grasp_starts_s: list[float] = []
+        self._tick, self._bytes, self.rows = 0, 0, 0
+        self._last_estimate: EstimateBlock | None = None
+
+    def append(self, block: SampleBlock, estimate: EstimateBlock) -> None:
+        first_tick, self._tick = block.samples["tick"][[0, -1]].tolist()
+        if block.lost_samples:
+            text = f"{first_tick - self.rows} samples are missing from the recording so far"
+            self._alarms.raise_technical("lost", Priority.LOW, text, self._time_ms())
+        if block.lost_samples or not self._segments:
+            self._segments.append((first_tick, self.rows))
+        self._sample_file.write(build_frame_columns(block.samples, estimate.estimates, self._tissues).T.tobytes())
+        self.rows += len(block.samples)
+        self._translate(estimate)
+        self._last_estimate = estimate
+
+    def finish(self, cut_short: GraspRecord | None) -> None:
+        """The recording's end, with the grasp that it cut short."""
+        if cut_short and self._last_estimate:
+            self._translate(replace(self._last_estimate, ended=(cut_short,), alarms=(), withdrawn=()))
+
+    def _translate(self, estimate: EstimateBlock) -> None:
+        at_ms = self._time_ms()
+        self._translator.process(estimate, at_ms, at_ms)
+
+    def _time_ms(self) -> float:
+        return 1e3 * self._tick / self._rate_hz
+
+    def _publish_grasp(self, grasp: Grasp) -> None:
+        self._grasp_starts_s.append(grasp.start_s)
+        self._publish(GraspEnded(run_id=None, grasp=grasp))
+
+    def _publish(self, message: BaseModel) -> None:
+        kind, alarm_id = MessageKind.EVENT, ""
+        match message:
+            case Identification():
+                kind = MessageKind.IDENTIFICATION
+            case GraspEnded():
+                kind = MessageKind.GRASP
+            case Alarm():
+                kind = MessageKind.ALARM if message.active or message.latched else MessageKind.ALARM_OVER
+                alarm_id = f"replay-{message.id}"  # never to be taken for one of the live tool
+                message = message.model_copy(update={"id": alarm_id})
+        self._bytes += self._message_file.write(message.model_dump_json().encode())
+        self._messages.append((self._tick, kind, self._bytes))
+        self._alarm_ids.append(alarm_id)
+
+    def save_index(self, path: Path) -> None:
+        ticks, kinds, ends = np.array(self._messages, np.int64).T
+        first_ticks, first_rows = np.array(self._segments, np.int64).T
+        np.savez(
+            path,
+            rate_hz=self._rate_hz,
+            first_ticks=first_ticks,
+            first_rows=first_rows,
+            ticks=ticks,
+            kinds=kinds,
+            ends=ends,
+            alarms=np.array(self._alarm_ids),
+            grasp_starts_s=np.array(self._grasp_starts_s, float),
+        )

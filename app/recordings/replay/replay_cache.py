@@ -1,0 +1,120 @@
+"""A recording's film: everything that its viewers see at every moment, written once, then only read.
+
+On disk it is four files of one folder: `columns.npy`, float32 of shape (samples, channels); `told`, JSON messages
+one after the other; `index.npz`, which says at which tick each was told and where samples are missing; `tool.json`, the
+tool it was recorded with.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from app.messages.wire import Alarm, AlarmKind
+from config.schema import Tool
+
+COLUMNS_FILE, MESSAGES_FILE, INDEX_FILE, TOOL_FILE = "columns.npy", "told", "index.npz", "tool.json"
+
+
+class MessageKind(IntEnum):
+    """What a message of a film is."""
+
+    IDENTIFICATION = 0
+    EVENT = 1
+    GRASP = 2
+    ALARM = 3
+    ALARM_OVER = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayCacheIndex:
+    """Where everything is. Arrays of shape (pieces,): stretches without a gap; (messages,); and (grasps,)."""
+
+    rate_hz: np.ndarray  # of shape ()
+    first_ticks: np.ndarray
+    first_rows: np.ndarray
+    ticks: np.ndarray  # of the sample with which a message became known; never falls
+    kinds: np.ndarray
+    ends: np.ndarray  # of messages, bytes from the beginning
+    alarms: np.ndarray  # an alarm's id; empty for what is none
+    grasp_starts_s: np.ndarray
+
+
+class ReplayCache:
+    """The files stay open: their folder may go."""
+
+    def __init__(self, columns: np.ndarray, messages: np.ndarray, index_writer: ReplayCacheIndex, tool: Tool) -> None:
+        """`columns`: float32 of shape (samples, channels); `told`: uint8 of shape (bytes,)."""
+        self._columns, self._messages, self._index, self.tool = columns, messages, index_writer, tool
+        self._message_starts = np.concatenate([[0], index_writer.ends[:-1]])
+        self.rate_hz = float(index_writer.rate_hz)
+        self.grasp_starts_s: list[float] = index_writer.grasp_starts_s.tolist()
+        self.end_tick = int(index_writer.first_ticks[-1] + len(columns) - index_writer.first_rows[-1])
+
+    @classmethod
+    def open(cls, folder: Path) -> Self:
+        with np.load(folder / INDEX_FILE) as index:
+            return cls(
+                np.load(folder / COLUMNS_FILE, mmap_mode="r"),
+                np.memmap(folder / MESSAGES_FILE, np.uint8, "r"),
+                ReplayCacheIndex(**index),
+                Tool.model_validate_json((folder / TOOL_FILE).read_bytes()),
+            )
+
+    @property
+    def duration_s(self) -> float:
+        return self.end_tick / self.rate_hz
+
+    def _find_row(self, tick: int) -> int:
+        """Of the first sample at this tick or later."""
+        index = self._index
+        piece = int(np.searchsorted(index.first_ticks, tick, "right")) - 1
+        end = index.first_rows[piece + 1] if piece + 1 < len(index.first_rows) else len(self._columns)
+        return int(min(index.first_rows[piece] + tick - index.first_ticks[piece], end))
+
+    def lost_samples(self, tick: int) -> int:
+        """How many are missing before this tick."""
+        return tick - self._find_row(tick)
+
+    def samples(self, begin: int, end: int) -> list[tuple[int, np.ndarray]]:
+        """Those of ticks from `begin` on before `end`: consecutive ones as first tick and columns (channels, n)."""
+        index, first, last = self._index, self._find_row(begin), self._find_row(end)
+        inner = index.first_rows[(index.first_rows > first) & (index.first_rows < last)].tolist()
+        pieces = []
+        for row, until in zip([first, *inner], [*inner, last], strict=True):
+            piece = int(np.searchsorted(index.first_rows, row, "right")) - 1
+            tick = int(index.first_ticks[piece] + row - index.first_rows[piece])
+            if until > row:
+                pieces.append((tick, self._columns[row:until].T))
+        return pieces
+
+    def messages(self, begin: int, end: int) -> list[str]:
+        """Messages that became known with the samples of ticks from `begin` on before `end`."""
+        first, last = np.searchsorted(self._index.ticks, [begin, end]).tolist()
+        return [self._message(i) for i in range(first, last)]
+
+    def _message(self, i: int) -> str:
+        return self._messages[self._message_starts[i] : self._index.ends[i]].tobytes().decode()
+
+    def initial_messages(self, tick: int) -> list[str]:
+        """For somebody who comes at this tick: the alarms that are on, finished grasps, the last identification."""
+        kinds = self._index.kinds[: np.searchsorted(self._index.ticks, tick)]
+        grasps = np.flatnonzero(kinds == MessageKind.GRASP).tolist()
+        identified = np.flatnonzero(kinds == MessageKind.IDENTIFICATION).tolist()[-1:]
+        return [self._message(i) for i in (*self._find_active_alarms(kinds), *grasps, *identified)]
+
+    def _find_active_alarms(self, kinds: np.ndarray) -> list[int]:
+        on: dict[str, int] = {}
+        for i in np.flatnonzero(kinds >= MessageKind.ALARM).tolist():
+            on.pop(str(self._index.alarms[i]), None)
+            if kinds[i] == MessageKind.ALARM:
+                on[str(self._index.alarms[i])] = i
+        return list(on.values())
+
+    def technical_alarm_texts(self, tick: int) -> list[str]:
+        """Texts of the technical alarms that are on at this tick."""
+        kinds = self._index.kinds[: np.searchsorted(self._index.ticks, tick)]
+        alarms = [Alarm.model_validate_json(self._message(i)) for i in self._find_active_alarms(kinds)]
+        return [alarm.text for alarm in alarms if alarm.kind is AlarmKind.TECHNICAL]

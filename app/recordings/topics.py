@@ -1,0 +1,94 @@
+"""The JSON topics of a recording: messages of `app/messages/wire.py`, with schemas that plotting programs understand.
+
+Those programs read JSON schemas without references and with one type a field; so what has no value is left out of a
+message instead of being null.
+"""
+
+import json
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+from app.messages.wire import Alarm, GraspEnded, Identification, JournalEntry, Run
+
+RUN_TOPIC, GRASP_TOPIC, ALARM_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC = (
+    "/run",
+    "/grasp",
+    "/alarm",
+    "/identification",
+    "/journal",
+)
+TOPIC_MODELS: dict[str, type[BaseModel]] = {
+    RUN_TOPIC: Run,
+    GRASP_TOPIC: GraspEnded,
+    ALARM_TOPIC: Alarm,
+    IDENTIFICATION_TOPIC: Identification,
+    JOURNAL_TOPIC: JournalEntry,
+}
+_MODEL_TOPICS = {model: topic for topic, model in TOPIC_MODELS.items()}
+
+
+def find_topic(message: BaseModel) -> str | None:
+    """Where a message is recorded; None for what is not."""
+    return _MODEL_TOPICS.get(type(message))
+
+
+def encode_message(message: BaseModel) -> bytes:
+    return message.model_dump_json(exclude_none=True).encode()
+
+
+def decode_message(topic: str, content: bytes) -> BaseModel:
+    """A message as it was before it was written.
+
+    Raises:
+        ValueError: it is not one of this topic.
+    """
+    try:
+        told = json.loads(content)
+    except RecursionError:
+        raise ValueError("objects within objects without end") from None
+    if not isinstance(told, dict):
+        raise ValueError("it is no object")
+    return TOPIC_MODELS[topic].model_validate(_restore_nulls(TOPIC_MODELS[topic], told))
+
+
+def _restore_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str, Any]:
+    """The message with null for what was left out, also in messages inside."""
+    result: dict[str, Any] = {name: None for name, field in model.model_fields.items() if field.is_required()}
+    for name, value in content.items():
+        inner = _find_nested_model(model, name) if isinstance(value, dict) else None
+        result[name] = _restore_nulls(inner, value) if inner else value
+    return result
+
+
+def _find_nested_model(model: type[BaseModel], name: str) -> type[BaseModel] | None:
+    """The model of a field, if that is one or none."""
+    annotation = model.model_fields[name].annotation if name in model.model_fields else None
+    for each in (annotation, *get_args(annotation)):
+        if isinstance(each, type) and issubclass(each, BaseModel):
+            return each
+    return None
+
+
+def build_json_schema(model: type[BaseModel]) -> bytes:
+    """JSON schema of a model's messages: no references, no nulls."""
+    schema = model.model_json_schema(mode="serialization")
+    return json.dumps(_simplify_schema(schema, schema.get("$defs", {}))).encode()
+
+
+def _simplify_schema(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    if "$ref" in schema:
+        return _simplify_schema(definitions[schema["$ref"].rpartition("/")[2]], definitions)
+    if "anyOf" in schema:
+        (some,) = [each for each in schema["anyOf"] if each.get("type") != "null"]
+        return _simplify_schema(some, definitions) | (
+            {"description": schema["description"]} if "description" in schema else {}
+        )
+    if "const" in schema or "enum" in schema:
+        return {"type": "string"}
+    plain: dict[str, Any] = {key: schema[key] for key in ("type", "title", "description") if key in schema}
+    if "properties" in schema:
+        plain["properties"] = {name: _simplify_schema(each, definitions) for name, each in schema["properties"].items()}
+    if "items" in schema:
+        plain["items"] = _simplify_schema(schema["items"], definitions)
+    return plain

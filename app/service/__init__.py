@@ -1,0 +1,1 @@
+"""What runs while the tool is live: workers, runs, arming, alarms of a silent worker."""

@@ -1,0 +1,58 @@
+"""The demonstration of `make run`: each tissue, an unknown one, too strong a grasp, until somebody takes over."""
+
+import asyncio
+from dataclasses import dataclass
+from itertools import cycle
+
+from app.messages.wire import Phase
+from app.service.tool_service import ToolService
+from config.errors import GraspwatchError
+from config.load import load_protocol
+from config.schema import TissueLibrary
+
+NORMAL_PROTOCOL, STRONG_PROTOCOL = "trapezoid_2hz", "strong_2hz"
+GRASPS_PER_SCENE = 2
+OUT_OF_LIBRARY_TISSUE = "fibrotic_liver"
+PAUSE_S = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class DemoScene:
+    tissue: str
+    protocol: str
+    text: str
+
+
+def build_scenes(library: TissueLibrary) -> list[DemoScene]:
+    """What is shown, in turn."""
+    named = [
+        DemoScene(name, NORMAL_PROTOCOL, f"A grasp of {profile.title.lower()}: the answer should be its name")
+        for name, profile in library.tissues.items()
+    ]
+    weakest = min(library.tissues, key=library.threshold_n)
+    title = library.tissues[weakest].title.lower()
+    strong = f"Too strong a grasp of {title}: the limiter holds the motor back before the tissue is hurt"
+    return [
+        *named,
+        DemoScene(
+            OUT_OF_LIBRARY_TISSUE,
+            NORMAL_PROTOCOL,
+            "A liver six times as stiff as any in the library: the answer should be Unknown",
+        ),
+        DemoScene(weakest, STRONG_PROTOCOL, strong),
+    ]
+
+
+async def run_demo(tool_service: ToolService) -> None:
+    """Run until a person takes over, a run fails, or it is cancelled."""
+    for scene in cycle(build_scenes(tool_service.plan.library)):
+        await asyncio.sleep(PAUSE_S)
+        while tool_service.demo_text and tool_service.phase is not Phase.IDLE:
+            await asyncio.sleep(0.1)
+        if not tool_service.demo_text:
+            return
+        tool_service.demo_text = scene.text
+        try:
+            await tool_service.start_run(load_protocol(scene.protocol), GRASPS_PER_SCENE, scene.tissue, by=None)
+        except GraspwatchError:
+            continue  # its alarm is on; the next round tries again

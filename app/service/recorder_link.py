@@ -1,0 +1,105 @@
+"""The server's end of the recorder: what it tells the recorder, and what it makes of the answers."""
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import zmq
+from pydantic import BaseModel
+
+from acquisition import bus
+from app.index.index_writer import IndexWriter
+from app.messages.wire import RECORDER_OFF, FileRecord, Priority
+from app.recordings.index_reader import read_file_record
+from app.recordings.recorder import RunMetadata
+from app.recordings.recorder_worker import pack_run_metadata
+from app.recordings.topics import encode_message, find_topic
+from app.stream.alarms import AlarmManager
+from config.service_plan import ServicePlan
+
+
+class RecorderLink:
+    """Tells the recorder of runs, and of all messages that are recorded; alarms where recording fails."""
+
+    def __init__(
+        self,
+        plan: ServicePlan,
+        address: str,
+        alarms: AlarmManager,
+        index_writer: IndexWriter,
+        publish_event: Callable[[str], None],
+    ) -> None:
+        self._context = zmq.Context()
+        self._socket = bus.open_publisher(self._context, address)
+        self._recordings_folder, self._alarms, self._index_writer, self._publish_event = (
+            plan.recordings_folder,
+            alarms,
+            index_writer,
+            publish_event,
+        )
+        self._file_read_tasks: set[asyncio.Task[FileRecord]] = set()
+        enabled = plan.settings.recording.enabled and not plan.opened_recordings
+        self.state = RECORDER_OFF.model_copy(update={"enabled": enabled})
+
+    def announce_run(self, run_metadata: RunMetadata) -> None:
+        """A run is about to begin; tell before the tool is told."""
+        self._send(pack_run_metadata(run_metadata))
+
+    def send_message(self, message: BaseModel) -> None:
+        """A message to viewers, or a line of the journal."""
+        topic = find_topic(message)
+        if topic:
+            self._send(bus.pack_server_message(topic, encode_message(message)))
+
+    def _send(self, parts: list[bytes]) -> None:
+        self._socket.send_multipart(parts)  # PUB never waits: what a reader that hangs has no room for is dropped
+
+    def on_notice(self, notice: dict[str, Any]) -> None:
+        """What the recorder says."""
+        match notice["kind"]:
+            case "recording":
+                self._update_state({name: notice[name] for name in ("file", "samples", "missing_blocks")})
+            case "recorded":
+                self._index_file(self._recordings_folder / notice["file"])
+            case "mended":
+                self._publish_event(f"The recording {notice['file']} had been cut off, and was made whole")
+                self._index_file(self._recordings_folder / notice["file"])
+            case "recording_stopped":
+                self._mark_stopped(notice["text"])
+                self._alarms.raise_technical("recording", Priority.MEDIUM, notice["text"])
+                self._publish_event(notice["text"])
+
+    def on_worker_death(self, text: str) -> None:
+        """The recorder died; the supervisor has said how."""
+        self._mark_stopped("the recorder died")
+        self._alarms.raise_technical("recorder", Priority.MEDIUM, f"{text} Meanwhile nothing is recorded.")
+        self._publish_event(text)
+
+    def _update_state(self, known: dict[str, Any]) -> None:
+        begins = known["file"] is not None and self.state.file is None
+        if begins:
+            self._alarms.end("recording")
+        problem = None if begins else self.state.problem
+        self.state = self.state.model_copy(update=known | {"problem": problem})
+
+    def _mark_stopped(self, text: str) -> None:
+        self.state = self.state.model_copy(update={"problem": text, "file": None, "samples": 0})
+
+    def _index_file(self, path: Path) -> None:
+        reading = asyncio.create_task(asyncio.to_thread(read_file_record, path))
+        self._file_read_tasks.add(reading)
+        reading.add_done_callback(self._on_file_read)
+
+    def _on_file_read(self, reading: "asyncio.Task[FileRecord]") -> None:
+        self._file_read_tasks.discard(reading)
+        gone = reading.cancelled() or isinstance(reading.exception(), OSError)
+        if not gone:
+            self._index_writer.enqueue(reading.result())
+
+    async def aclose(self) -> None:
+        """After the recorder has ended: put what it recorded last into the index, and close."""
+        if self.state.file:
+            self._index_file(self._recordings_folder / self.state.file)
+        await asyncio.gather(*self._file_read_tasks, return_exceptions=True)
+        self._context.destroy(linger=200)

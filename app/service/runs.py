@@ -1,0 +1,99 @@
+"""The book of runs: which one is under way, which came before, and whose each grasp is."""
+
+import secrets
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from app.messages.wire import Grasp, Run, RunState
+
+MAX_RUNS = 1_000
+
+
+@dataclass(slots=True)
+class _RunEntry:
+    run: Run
+    start_tick: int
+    tick_epoch: int
+    grasps: list[Grasp] = field(default_factory=list)
+
+
+class RunRegistry:
+    """The last runs of this service, oldest first."""
+
+    def __init__(self) -> None:
+        self._entries: dict[str, _RunEntry] = {}
+        self._run_count = 0
+        self._service_id = secrets.token_hex(2)  # two services that share an index may start a run in the same second
+        self._tick_epoch = 0
+        self.current_id: str | None = None
+
+    @property
+    def current(self) -> Run | None:
+        return self._entries[self.current_id].run if self.current_id else None
+
+    @property
+    def last(self) -> Run | None:
+        return next((entry.run for entry in reversed(self._entries.values())), None)
+
+    def list_runs(self) -> list[Run]:
+        return [entry.run for entry in self._entries.values()]
+
+    def get(self, run_id: str) -> Run | None:
+        entry = self._entries.get(run_id)
+        return entry.run if entry else None
+
+    def list_grasps(self, run_id: str) -> list[Grasp]:
+        return self._entries[run_id].grasps
+
+    def begin(
+        self, protocol: str, cycles: int, tissue: str | None, by: str | None, start_tick: int, prefix: str = ""
+    ) -> Run:
+        """A new run, under way from now on; its grasps begin after `start_tick`, its id with `prefix`."""
+        self._run_count += 1
+        now = datetime.now(UTC)
+        run = Run(
+            id=f"{prefix}{now:%Y%m%d-%H%M%S}-{self._service_id}-{self._run_count:03d}",
+            protocol=protocol,
+            cycles=cycles,
+            tissue=tissue,
+            by=by,
+            state=RunState.RUNNING,
+            started_at=now.isoformat(),
+            ended_at=None,
+            why=None,
+            grasps=0,
+        )
+        self._entries[run.id] = _RunEntry(run, start_tick, self._tick_epoch)
+        self.current_id = run.id
+        while len(self._entries) > MAX_RUNS:
+            del self._entries[next(iter(self._entries))]
+        return run
+
+    def discard(self, run_id: str) -> None:
+        """The run was refused: it never was."""
+        self._entries.pop(run_id, None)
+        if self.current_id == run_id:
+            self.current_id = None
+
+    def end(self, run_id: str, state: RunState, why: str) -> bool:
+        """End a run; False if it is not the one under way."""
+        if run_id != self.current_id:
+            return False
+        entry = self._entries[run_id]
+        entry.run = entry.run.model_copy(update={"state": state, "why": why, "ended_at": datetime.now(UTC).isoformat()})
+        self.current_id = None
+        return True
+
+    def add_grasp(self, grasp: Grasp, start_tick: int) -> tuple[str | None, Grasp]:
+        """File a finished grasp under the run in which it began; returns that run and the grasp as numbered there."""
+        for run_id, entry in reversed(self._entries.items()):
+            if entry.tick_epoch == self._tick_epoch and entry.start_tick <= start_tick:
+                grasp = grasp.model_copy(update={"index": len(entry.grasps) + 1})
+                entry.grasps.append(grasp)
+                entry.run = entry.run.model_copy(update={"grasps": len(entry.grasps)})
+                return run_id, grasp
+        return None, grasp
+
+    def reset_ticks(self) -> None:
+        """The acquisition was restarted: its ticks count from zero again."""
+        self._tick_epoch += 1

@@ -1,0 +1,102 @@
+"""Notices workers that fall silent: raises technical alarms meanwhile, and ends those that hang."""
+
+import time
+from collections.abc import Callable
+
+from app.messages.wire import Priority
+from app.service.supervisor import Supervisor, WorkerCondition
+from app.stream.alarms import AlarmManager
+
+SILENCE_ALARM_S = 0.4
+HUNG_TIMEOUT_S = 2.0  # a worker silent for longer is killed and replaced
+RECORDER_HUNG_TIMEOUT_S = 10.0  # a disk may take its time
+SAFETY_MONITOR_HUNG_TIMEOUT_S = 2.0
+MAX_BLOCKED_S = 60.0
+"""So long a worker may be stopped or swapped out before it is replaced: the bus keeps a minute of blocks for it."""
+
+
+class Watchdog:
+    """Judges by what arrives, without a heartbeat of its own.
+
+    Silence is what passes while this process could have listened: what came while it was held up waits to be read, and
+    whoever was stopped together with it has to get going again.
+    """
+
+    def __init__(self, supervisor: Supervisor, alarms: AlarmManager, publish_event: Callable[[str], None]) -> None:
+        self._supervisor = supervisor
+        self._alarms = alarms
+        self._publish_event = publish_event
+        self._last_heard_s = {"acquisition": 0.0, "estimator": 0.0, "recorder": 0.0, "guard": 0.0}
+        self._own_delay_s = 0.0  # altogether
+        self._last_check_s = time.monotonic()
+        self._blocked_s: dict[str, float] = {}  # of the present silence: time in which the worker could not run
+        self._sampling_since_s = self._estimating_since_s = 0.0
+        self.is_sampling = False
+
+    def _listening_time_s(self) -> float:
+        return time.monotonic() - self._own_delay_s
+
+    def feed(self, worker: str) -> None:
+        self._last_heard_s[worker] = self._listening_time_s()
+        self._blocked_s.pop(worker, None)
+
+    def on_estimator_started(self) -> None:
+        """A new estimator: its predecessor's silence is not its own."""
+        self._estimating_since_s = self._listening_time_s()
+        self._blocked_s.pop("estimator", None)
+
+    def check(self, own_delay_s: float = 0.0) -> None:
+        """Raise a technical alarm while a worker is silent, and end it when it speaks again.
+
+        `held_up_s`: so long this process did not listen since it watched last.
+        """
+        self._own_delay_s += own_delay_s
+        now = self._listening_time_s()
+        since_last_s, self._last_check_s = now - self._last_check_s, now
+        alive = {name: worker.condition is WorkerCondition.RUNNING for name, worker in self._supervisor.workers.items()}
+        before, self.is_sampling = self.is_sampling, now - self._last_heard_s["acquisition"] < SILENCE_ALARM_S
+        if not before:
+            self._sampling_since_s = now  # until then the estimator had nothing to answer
+        silent_s = {
+            "acquisition": now - self._last_heard_s["acquisition"],
+            "estimator": now - max(self._last_heard_s["estimator"], self._sampling_since_s, self._estimating_since_s),
+        }
+        estimating = now - self._last_heard_s["estimator"] < SILENCE_ALARM_S
+        if self._last_heard_s["acquisition"] and not self.is_sampling:
+            self._alarms.raise_technical("samples", Priority.HIGH, "No samples arrive from the tool")
+        elif self.is_sampling and alive["acquisition"]:
+            self._alarms.end("samples")
+            self._alarms.end("acquisition")
+        if self._last_heard_s["estimator"] and self.is_sampling and silent_s["estimator"] >= SILENCE_ALARM_S:
+            self._alarms.raise_technical("estimates", Priority.MEDIUM, "No estimates arrive: the tissue is not watched")
+        elif estimating and alive["estimator"]:
+            self._alarms.end("estimates")
+            self._alarms.end("estimator")
+        self._check_heartbeat("recorder", now, RECORDER_HUNG_TIMEOUT_S, since_last_s, "nothing is recorded")
+        self._check_heartbeat(
+            "guard", now, SAFETY_MONITOR_HUNG_TIMEOUT_S, since_last_s, "a hung acquisition would be noticed late"
+        )
+        for name, since_s in silent_s.items():
+            expected = name == "acquisition" or self.is_sampling
+            if alive[name] and expected and since_s >= SILENCE_ALARM_S:
+                self._kill_if_hung(name, since_s, HUNG_TIMEOUT_S, since_last_s)
+
+    def _check_heartbeat(self, name: str, now: float, hung_s: float, since_last_s: float, consequence: str) -> None:
+        """Watch a worker that sends a sign of life, whether it has anything to do or not."""
+        heard_s = self._last_heard_s[name]
+        if not heard_s or self._supervisor.workers[name].condition is not WorkerCondition.RUNNING:
+            return
+        if now - heard_s < SILENCE_ALARM_S:
+            self._alarms.end(name)
+            return
+        self._alarms.raise_technical(name, Priority.MEDIUM, f"The {name} does not answer: {consequence}")
+        self._kill_if_hung(name, now - heard_s, hung_s, since_last_s)
+
+    def _kill_if_hung(self, name: str, silent_s: float, hung_s: float, since_last_s: float) -> None:
+        """End a worker that was silent for `hung_s` although it could run; one that is held up gets a minute."""
+        unable_s = self._blocked_s.get(name, 0.0)
+        if unable_s < MAX_BLOCKED_S and self._supervisor.is_blocked(name):
+            unable_s = self._blocked_s[name] = unable_s + since_last_s
+        if silent_s - unable_s > hung_s:
+            self._publish_event(f"The {name} worker does not answer: it is ended and replaced")
+            self._supervisor.kill(name)

@@ -1,0 +1,1 @@
+"""What viewers receive, live or from a recording."""

@@ -1,0 +1,99 @@
+"""Sample frames for browsers: float32 columns at the full rate, cut thirty times a second."""
+
+from collections import deque
+
+import numpy as np
+
+from app.messages.wire import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
+
+SAMPLE_COLUMNS = {
+    "strain_v": "V",
+    "encoder_deg": "deg",
+    "motor_command_v": "V",
+    "jaw_force_n": "N",
+    "jaw_force_filtered_n": "N",
+    "jaw_displacement_m": "m",
+    "jaw_displacement_filtered_m": "m",
+    "tissue_displacement_m": "m",
+    "limit_n": "N",
+}
+ESTIMATE_COLUMNS = {"threshold_n": "N", "probability_unknown": ""}
+TISSUE_COLUMNS = {"probability": "", "force_n": "N", "alpha_n": "N", "beta_per_m": "1/m", "damping_kg_per_s": "kg/s"}
+SD_COLUMNS = ("log_alpha_sd", "log_beta_sd", "log_damping_sd")  # of the natural logarithms, as in `log_sd`
+
+
+def build_channels(tissues: list[str]) -> list[ChannelInfo]:
+    """The columns of a frame in their order."""
+    common = [ChannelInfo(name=name, unit=unit) for name, unit in {**SAMPLE_COLUMNS, **ESTIMATE_COLUMNS}.items()]
+    of_tissue = TISSUE_COLUMNS | dict.fromkeys(SD_COLUMNS, "")
+    each = [ChannelInfo(name=name, unit=unit, tissue=tissue) for tissue in tissues for name, unit in of_tissue.items()]
+    return common + each
+
+
+def build_frame_columns(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:
+    """Float32 columns, (channels, n), of samples and their estimates."""
+    rows = [samples[name] for name in SAMPLE_COLUMNS] + [estimates[name] for name in ESTIMATE_COLUMNS]
+    for k in range(tissues):
+        rows += [estimates[name][:, k] for name in TISSUE_COLUMNS]
+        rows += [estimates["log_sd"][:, k, i] for i in range(len(SD_COLUMNS))]
+    return np.array(rows, np.float32)
+
+
+def pack_frame(kind: FrameKind, sequence: int, first_tick: int, newest_ms: float, columns: np.ndarray) -> bytes:
+    """One binary frame, see app/messages/wire.py."""
+    header = FRAME_HEADER.pack(
+        FRAME_MAGIC, FRAME_KINDS[kind], 1, len(columns), columns.shape[1], sequence, float(first_tick), newest_ms
+    )
+    return header + columns.astype("<f4", copy=False).tobytes()
+
+
+class FrameBuffer:
+    """Collects columns until the next frame is cut, and keeps the last seconds for those who come later."""
+
+    def __init__(self, history_samples: int) -> None:
+        self._history_samples = history_samples
+        self._pending: list[tuple[int, np.ndarray]] = []
+        self._history: deque[tuple[int, np.ndarray]] = deque()
+        self._kept_samples = 0
+        self._sequence = 0
+        self._newest_ms = 0.0
+
+    def add(self, first_tick: int, columns: np.ndarray, newest_ms: float) -> None:
+        self._pending.append((first_tick, columns))
+        self._newest_ms = newest_ms
+
+    def cut_frames(self) -> list[bytes]:
+        """Frames of what came since the last cut: one, or several where ticks are missing in between."""
+        joined, self._pending = _join_consecutive(self._pending), []
+        for first_tick, columns in joined:
+            if self._history and first_tick < self._history[-1][0]:  # a new source counts from zero again
+                self._history.clear()
+                self._kept_samples = 0
+            self._history.append((first_tick, columns))
+            self._kept_samples += columns.shape[1]
+        while self._kept_samples > self._history_samples:
+            self._kept_samples -= self._history.popleft()[1].shape[1]
+        return [self._pack(FrameKind.LIVE, first_tick, columns) for first_tick, columns in joined]
+
+    def history_frames(self) -> list[bytes]:
+        """The last seconds as frames."""
+        return [
+            self._pack(FrameKind.HISTORY, tick, columns) for tick, columns in _join_consecutive(list(self._history))
+        ]
+
+    def _pack(self, kind: FrameKind, first_tick: int, columns: np.ndarray) -> bytes:
+        self._sequence = (self._sequence + 1) % 2**32
+        return pack_frame(kind, self._sequence, first_tick, self._newest_ms, columns)
+
+
+def _join_consecutive(pieces: list[tuple[int, np.ndarray]]) -> list[tuple[int, np.ndarray]]:
+    """Join pieces that follow each other without a gap."""
+    groups: list[tuple[int, list[np.ndarray]]] = []
+    expected = -1
+    for first_tick, columns in pieces:
+        if first_tick == expected:
+            groups[-1][1].append(columns)
+        else:
+            groups.append((first_tick, [columns]))
+        expected = first_tick + columns.shape[1]
+    return [(tick, np.concatenate(parts, axis=1)) for tick, parts in groups]

@@ -1,0 +1,52 @@
+"""Puts samples and their estimates together, whichever came first."""
+
+import time
+from collections import deque
+
+import numpy as np
+
+from acquisition.sample_block import SampleBlock
+from app.host.clock import monotonic_to_wall_ms
+from app.stream.frames import FrameBuffer, build_frame_columns
+from estimator.estimate_block import EstimateBlock, blank_estimates, estimate_dtype
+
+MAX_PENDING_ESTIMATES = 400  # blocks: two seconds
+ESTIMATES_TIMEOUT_S = 0.1  # samples are shown without estimates when these take longer
+
+
+class SampleAligner:
+    """Fills a frame buffer; samples go without estimates when theirs are late."""
+
+    def __init__(self, frames: FrameBuffer, tissues: int) -> None:
+        self._frames = frames
+        self._tissues = tissues
+        self._pending_blocks: deque[tuple[float, SampleBlock]] = (
+            deque()
+        )  # when it came, s; its estimates are still to come
+        self._pending_estimates: dict[int, np.ndarray] = {}  # estimates whose samples are still to come
+
+    def reset(self) -> None:
+        """The acquisition was restarted: its blocks are counted from the beginning again."""
+        self._pending_estimates.clear()
+
+    def add_samples(self, block: SampleBlock) -> None:
+        self._pending_blocks.append((time.monotonic(), block))
+
+    def add_estimates(self, block: EstimateBlock) -> None:
+        self._pending_estimates[block.sequence] = block.estimates
+        self._pending_estimates.pop(block.sequence - MAX_PENDING_ESTIMATES, None)
+        self.align()
+
+    def align(self) -> None:
+        """Hand on what is complete, and what has waited too long."""
+        while self._pending_blocks:
+            came_s, block = self._pending_blocks[0]
+            estimates = self._pending_estimates.pop(block.sequence, None)
+            if estimates is None:
+                overtaken = bool(self._pending_estimates) and block.sequence < min(self._pending_estimates)
+                if not overtaken and time.monotonic() - came_s < ESTIMATES_TIMEOUT_S:
+                    return
+                estimates = blank_estimates(estimate_dtype(self._tissues), block.samples["tick"])
+            self._pending_blocks.popleft()
+            columns = build_frame_columns(block.samples, estimates, self._tissues)
+            self._frames.add(int(block.samples["tick"][0]), columns, monotonic_to_wall_ms(block.t_mono_ns))

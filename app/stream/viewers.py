@@ -1,0 +1,143 @@
+"""Viewers, of `/api/live` and of replays: each with its own queues, so that a slow one disturbs nobody."""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+
+from fastapi import WebSocket, WebSocketDisconnect
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from app.messages.wire import FRAME_HEADER, FrameReceived, ReplayControl
+
+MAX_QUEUED_MESSAGES = 2_000  # a viewer that leaves more unread is dead: it is disconnected, messages are never dropped
+SEQUENCE_FIELD_INDEX = 5  # of FRAME_HEADER
+MAX_QUEUED_FRAMES = 30  # a second of frames; the oldest go first
+LIVE_VIEWER_MESSAGE: TypeAdapter[FrameReceived] = TypeAdapter(FrameReceived)
+REPLAY_VIEWER_MESSAGE: TypeAdapter[FrameReceived | ReplayControl] = TypeAdapter(FrameReceived | ReplayControl)
+
+
+class Viewer:
+    """One connection. Messages wait in order; sample frames wait in a short queue that drops its oldest.
+
+    With `obey` it is a replay's, which takes the viewer's wishes and waits for it: nothing is dropped.
+    """
+
+    def __init__(
+        self, socket: WebSocket, window_frames: int, on_control: Callable[[ReplayControl], None] | None = None
+    ) -> None:
+        self._socket = socket
+        self._window_frames = window_frames
+        self._on_control = on_control
+        self._messages: deque[str] = deque()
+        self._frames: deque[bytes] = deque(maxlen=None if on_control else MAX_QUEUED_FRAMES)
+        self._unacknowledged_frames: deque[int] = deque()
+        self._wake_up = asyncio.Event()
+        self._close_request: tuple[int, str] | None = None
+        self.has_overrun = False
+
+    @property
+    def has_sent_all_messages(self) -> bool:
+        """Whether it was sent all messages."""
+        return not self._messages
+
+    @property
+    def has_sent_everything(self) -> bool:
+        """Whether it was sent everything."""
+        return not self._messages and not self._frames
+
+    def send(self, message: str) -> None:
+        if len(self._messages) >= MAX_QUEUED_MESSAGES and not self._on_control:
+            self.has_overrun = True
+        else:
+            self._messages.append(message)
+        self._wake_up.set()
+
+    def send_frame(self, frame: bytes) -> None:
+        self._frames.append(frame)
+        self._wake_up.set()
+
+    def drop_frames(self) -> None:
+        """Those that wait are out of date."""
+        self._frames.clear()
+
+    def close(self, code: int, reason: str) -> None:
+        """Close the connection after the messages that wait. The first call counts; a reason has up to 123 bytes."""
+        self._close_request = self._close_request or (code, reason)
+        self._wake_up.set()
+
+    async def serve(self) -> None:
+        """Send and receive until the viewer leaves, or cannot follow any more."""
+        tasks = [asyncio.create_task(self._receive()), asyncio.create_task(self._transmit())]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        except (WebSocketDisconnect, RuntimeError):  # RuntimeError: sent after the close was received
+            return
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _transmit(self) -> None:
+        while not self.has_overrun:
+            await self._wake_up.wait()
+            self._wake_up.clear()
+            while self._messages and not self.has_overrun:
+                await self._socket.send_text(self._messages.popleft())
+            if self._close_request:
+                await self._socket.close(*self._close_request)
+                return
+            while self._frames and len(self._unacknowledged_frames) < self._window_frames and not self._messages:
+                frame = self._frames.popleft()
+                self._unacknowledged_frames.append(FRAME_HEADER.unpack_from(frame)[SEQUENCE_FIELD_INDEX])
+                await self._socket.send_bytes(frame)
+
+    async def _receive(self) -> None:
+        while True:
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            try:
+                received = (REPLAY_VIEWER_MESSAGE if self._on_control else LIVE_VIEWER_MESSAGE).validate_json(
+                    message.get("text") or ""
+                )
+            except ValidationError:
+                await self._socket.close(1007, "expected {'type': 'received', 'sequence': n}")
+                return
+            if isinstance(received, ReplayControl):
+                self._on_control(received)
+                continue
+            while self._unacknowledged_frames and self._unacknowledged_frames[0] <= received.sequence:
+                self._unacknowledged_frames.popleft()
+            self._wake_up.set()
+
+
+class ViewerHub:
+    """All viewers."""
+
+    def __init__(self, window_frames: int) -> None:
+        self._window_frames = window_frames
+        self.viewers: set[Viewer] = set()
+
+    def broadcast(self, message: BaseModel) -> None:
+        text = message.model_dump_json()
+        for viewer in self.viewers:
+            viewer.send(text)
+
+    def broadcast_frame(self, frame: bytes) -> None:
+        for viewer in self.viewers:
+            viewer.send_frame(frame)
+
+    async def serve_viewer(self, socket: WebSocket, initial_messages: list[BaseModel], history: list[bytes]) -> None:
+        """Serve one viewer until it leaves: first the greeting and the last seconds, then what comes."""
+        viewer = Viewer(socket, self._window_frames)
+        for message in initial_messages:
+            viewer.send(message.model_dump_json())
+        for frame in history:
+            viewer.send_frame(frame)
+        self.viewers.add(viewer)
+        try:
+            await viewer.serve()
+        finally:
+            self.viewers.discard(viewer)

@@ -1,1 +1,0 @@
-"""Studies of the estimator: from the command line, and from the dashboard."""

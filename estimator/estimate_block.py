@@ -1,0 +1,118 @@
+"""What the estimator publishes: estimates sample by sample, the identification so far, and finished grasps."""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.force_alarms import ForceAlarm
+
+
+@functools.cache
+def estimate_dtype(tissues: int) -> np.dtype:
+    """One sample's estimates for K filters. NaN where a filter has none: no tissue held, jaws shut, or diverged."""
+    each = (tissues,)
+    return np.dtype(
+        [
+            ("tick", "i8"),
+            ("probability", "f8", each),
+            ("probability_unknown", "f8"),
+            ("threshold_n", "f8"),  # injury threshold by which force alarms are judged
+            ("force_n", "f8", each),  # alpha (exp(beta x) - 1) of each filter
+            ("alpha_n", "f8", each),
+            ("beta_per_m", "f8", each),
+            ("damping_kg_per_s", "f8", each),
+            ("log_sd", "f8", (tissues, 3)),  # SD of log alpha, log beta, log d
+        ]
+    )
+
+
+def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
+    """Rows without any value for these ticks."""
+    rows = np.empty(len(ticks), dtype)
+    rows["tick"] = ticks
+    for name in dtype.names[1:]:
+        rows[name] = np.nan
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationResult:
+    """What is held, as known at `tick`. `grasp` counts from 1; 0 before the first."""
+
+    tick: int
+    grasp: int
+    in_grasp: bool
+    in_contact: bool
+    label: str
+    probability: float | None
+    probabilities: dict[str, float]
+    time_to_decision_s: float | None
+    force_n: float | None
+    peak_force_n: float | None
+    threshold_n: float  # by which force alarms are judged
+    threshold_tissue: str | None
+    limit_n: float | None  # that the limiter enforced while the sample was taken, as it says itself
+    holding_back: bool
+    time_to_limit_s: float | None  # forecast while the force rises towards that limit
+    thickness_m: float | None  # of what is held, measured at contact
+    convergence_s: dict[str, float | None]
+    force_error_n: dict[str, float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class GraspRecord:
+    """A finished grasp; times in seconds since the source's first sample; None where there is no value."""
+
+    index: int
+    start_s: float
+    contact_s: float | None
+    end_s: float
+    label: str
+    probability: float | None
+    probabilities: dict[str, float]
+    time_to_decision_s: float | None
+    alpha_n: float | None
+    beta_per_m: float | None
+    damping_kg_per_s: float | None
+    peak_force_n: float | None
+    peak_displacement_m: float | None
+    convergence_s: dict[str, float | None]
+    force_error_n: dict[str, float | None]
+    valid: bool
+    why_invalid: str | None
+    peak_share_of_limit: float | None = None  # of the force in the limit that the limiter enforced meanwhile
+
+
+@dataclass(frozen=True, slots=True)
+class LabelWithdrawal:
+    """A name that a grasp had been given no longer holds; `probability` is what is left of it.
+
+    `why`: what speaks against the grasp itself; None where the samples changed the answer.
+    """
+
+    tick: int
+    grasp: int
+    label: str
+    probability: float
+    why: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateBlock:
+    """The answer to one sample block; `estimates` has one row for each of its samples."""
+
+    sequence: int
+    t_mono_ns: int
+    lost_samples: int
+    estimates: np.ndarray
+    identification: IdentificationResult
+    ended: tuple[GraspRecord, ...]
+    alarms: tuple[ForceAlarm, ...]
+    withdrawn: tuple[LabelWithdrawal, ...] = ()
+
+
+def finite_or_none(value: float) -> float | None:
+    """None in place of NaN or infinity."""
+    return float(value) if math.isfinite(value) else None

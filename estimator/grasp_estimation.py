@@ -1,0 +1,251 @@
+"""One grasp's estimation: bank, evidence, decision and criteria from contact to the end."""
+
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.sample_block import SampleFlag
+from config.schema import IdentificationSettings as Settings
+from estimator.constants import EMPTY_JAWS_TRAVEL_M, FILLED_JAWS_MARGIN_M, JAW_OPENING_SHARE, MIN_PEAK_BEFORE_OPENING_N
+from estimator.criteria import ForceErrors
+from estimator.decision import UNDECIDED, UNKNOWN, Decision
+from estimator.estimate_block import GraspRecord, finite_or_none
+from estimator.evidence import BankEvidence
+from estimator.filter_bank import BankState, FilterBank, bank_columns, build_contact_start
+from estimator.kalman_filter import PARAMETERS, X
+from estimator.loading.learned_evidence import LearnedGrasp
+from estimator.tissue_model import force_curve
+
+ENCODER_SLIPS, SATURATED = SampleFlag.ENCODER_SLIPS.value, SampleFlag.SATURATED.value
+CHECKPOINT_SAMPLES = 500  # how far back the jaws may turn out to have been shut
+MIN_CHECKPOINT_SAMPLES = 10  # samples after contact at which the first step may end
+MAX_MISSING_SAMPLES = 5  # samples that may be missing in a grasp
+
+
+@dataclass(frozen=True, slots=True)
+class _Checkpoint:
+    """What was known before the samples from `tick` on were taken."""
+
+    tick: int
+    bank: BankState
+    decision: Decision
+    probabilities: np.ndarray
+    error_count: int
+    displacement_m: float
+
+
+class GraspEstimator:
+    """Follows one grasp; `take` its samples in steps, `finish` for its record."""
+
+    def __init__(
+        self,
+        index: int,
+        start_tick: int,
+        bank: FilterBank,
+        evidence: BankEvidence,
+        settings: Settings,
+        rate_hz: float,
+        *,
+        in_contact_before: bool = False,
+        learned_grasp: LearnedGrasp | None = None,
+    ) -> None:
+        """`held_before`: tissue was touched when the command left zero, so that nobody knows where contact was.
+
+        `learned`: what follows the loading curve where the library was learned; the probabilities are then its own.
+        """
+        self.index, self.start_tick = index, start_tick
+        self._bank, self._evidence, self._rate_hz = bank, evidence, rate_hz
+        self.learned_grasp = learned_grasp
+        self._use_thickness = settings.use_thickness
+        self.names = bank.priors.names
+        self.decision = Decision((*self.names, UNKNOWN), settings, rate_hz)
+        self.probabilities = evidence.prior
+        self.peak_force_n, self.peak_displacement_m, self.peak_share_of_limit = np.nan, np.nan, np.nan
+        self.contact_tick, self._contact_m = -1, np.nan
+        self._last_tick = -1  # of the last sample that the filters took
+        self._in_contact_before = in_contact_before
+        self._learned_past_jaw_closure = False
+        self.learning_ended = False  # nothing more to learn: jaws shut or opening, or an encoder that slips
+        self.flags = 0
+        self.lost_samples = 0
+        self.invalid_samples = 0  # outside the domain of the jaws' kinematics
+        self._jaws_empty = False
+        self._gap_m: float | None = None  # between the jaws at contact
+        self._thickness_log_likelihood: np.ndarray | float = 0.0
+        self._errors = ForceErrors(len(self.names), settings.convergence_error)
+        self._checkpoints: list[_Checkpoint] = []
+        self._max_force_n = 0.0  # largest mean force of a step, N
+
+    def on_contact(
+        self, sample: np.void, before_m: np.ndarray, opening_m: float | None, strain_var: float, *, contact_sensed: bool
+    ) -> None:
+        """First sample in contact; `before_m` are the jaw displacements of the samples before it.
+
+        `sensed`: a trusted touch sensor told it, and not the force. `opening_m`: the gap between the open jaws, None
+        where it is not known. `strain_var`: of the strain gage now, V².
+        """
+        approach = 0.0
+        if len(before_m) > 1 and np.isfinite(before_m).all():
+            approach = (before_m[-1] - before_m[0]) / (len(before_m) - 1) * self._rate_hz
+        self.contact_tick, self._contact_m = int(sample["tick"]), float(sample["jaw_displacement_m"])
+        self._last_tick = self.contact_tick
+        if contact_sensed and opening_m is not None and np.isfinite(self._contact_m):
+            filled = self._contact_m < FILLED_JAWS_MARGIN_M  # the tissue may be thicker than the jaws open
+            self._gap_m = None if filled else max(opening_m - self._contact_m, 0.0)
+            if self._use_thickness:
+                self._thickness_log_likelihood = self._evidence.compute_thickness_log_likelihood(
+                    self._contact_m, opening_m
+                )
+        self._bank.start(build_contact_start(sample, float(approach), contact_sensed=contact_sensed), strain_var)
+
+    def process(self, samples: np.ndarray, estimates: np.ndarray) -> None:
+        """Advance over samples in contact and write their estimates; the probabilities follow at the last one."""
+        columns = bank_columns(samples, self._contact_m, self._last_tick, 1.0 / self._rate_hz)
+        self._last_tick = int(samples["tick"][-1])
+        self._checkpoints.append(
+            _Checkpoint(
+                int(samples["tick"][0]),
+                self._bank.state.copy(),
+                copy(self.decision),
+                self.probabilities,
+                len(self._errors),
+                float(columns[0, 1]),
+            )
+        )
+        while self._checkpoints[0].tick < self._last_tick - CHECKPOINT_SAMPLES:
+            del self._checkpoints[0]
+        felt_n = float(columns[:, 0].mean())
+        self._max_force_n = max(self._max_force_n, felt_n)
+        if self._max_force_n > MIN_PEAK_BEFORE_OPENING_N and felt_n < JAW_OPENING_SHARE * self._max_force_n:
+            self.learning_ended = True
+            return
+        mean, variance = self._bank.advance(columns)
+        parameters = np.exp(mean[:, :, PARAMETERS])
+        estimates["alpha_n"], estimates["beta_per_m"] = parameters[:, :, 0], parameters[:, :, 1]
+        estimates["damping_kg_per_s"] = parameters[:, :, 2]
+        estimates["log_sd"] = np.sqrt(variance[:, :, PARAMETERS])
+        estimates["force_n"] = force_curve(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, X])
+        self._errors.append(estimates["force_n"], columns[:, 0])
+        if self.learned_grasp is None:
+            self.probabilities = self._evidence.probabilities(self._thickness_log_likelihood)
+            self.decision.update(self.probabilities, int(samples["tick"][-1]))
+
+    def update_loading_curve(self, samples: np.ndarray) -> None:
+        """With a learned library: what these samples (dtype SAMPLE) of the grasp add to its loading curve."""
+        if self.learned_grasp is None or self._jaws_empty:
+            return
+        if self.flags & ENCODER_SLIPS:
+            self._set_unknown()  # no tissue was learned with such a travel, and none can be named from it
+        else:
+            self.probabilities = self.learned_grasp.process(samples)
+        self.decision.update(self.probabilities, int(samples["tick"][-1]))
+
+    def on_jaw_closure(self, jaw_closure_tick: int, contact_tick: int) -> None:
+        """The jaws have been shut since `wall_tick`: take back what was learned from there on, and learn no more."""
+        self.learning_ended = True
+        if not self._checkpoints:
+            if contact_tick >= 0:  # both are told at once
+                self.contact_tick = contact_tick
+                self._set_jaws_empty(jaw_closure_tick)
+            return
+        self._learned_past_jaw_closure = self._checkpoints[0].tick > max(
+            jaw_closure_tick, self.contact_tick + MIN_CHECKPOINT_SAMPLES
+        )
+        last = ([kept for kept in self._checkpoints if kept.tick <= jaw_closure_tick] or self._checkpoints[:1])[-1]
+        self._bank.state = last.bank
+        if self.learned_grasp is None:
+            self.decision, self.probabilities = last.decision, last.probabilities
+        self._errors.truncate(last.error_count)
+        self._checkpoints.clear()
+        if last.displacement_m < EMPTY_JAWS_TRAVEL_M:
+            self._set_jaws_empty(jaw_closure_tick)
+
+    def _set_jaws_empty(self, jaw_closure_tick: int) -> None:
+        """Jaw on jaw."""
+        self._jaws_empty = True
+        self._set_unknown()
+        self.decision.label, self.decision.decided_tick = UNKNOWN, jaw_closure_tick
+
+    def _set_unknown(self) -> None:
+        self.probabilities = np.zeros_like(self.probabilities)
+        self.probabilities[-1] = 1.0
+
+    def find_invalid_reason(self) -> str | None:
+        """What speaks against believing this grasp, or None."""
+        if self.flags & ENCODER_SLIPS:
+            return "encoder slips or walks"
+        if self.flags & SATURATED:
+            return "the strain gage is saturated"
+        if self._learned_past_jaw_closure and self.learned_grasp is None:
+            return "the jaws were shut before it could be told"
+        if self._in_contact_before:
+            return "tissue was still held from before the grasp"
+        if self.contact_tick < 0:
+            return "no contact with tissue was found"
+        # a loading curve is measured at the handle, and needs no kinematics of the jaws
+        missing = self.lost_samples + (self.invalid_samples if self.learned_grasp is None else 0)
+        if missing > MAX_MISSING_SAMPLES:
+            return f"{missing} samples are missing"
+        return None
+
+    @property
+    def label(self) -> str:
+        """The decision, unless the grasp cannot be believed: then no tissue is named."""
+        believed = self.decision.label == UNKNOWN or self.find_invalid_reason() is None
+        return self.decision.label if believed else UNDECIDED
+
+    @property
+    def thickness_m(self) -> float | None:
+        """Of what is held, from the gap between the jaws at contact; None where that is not known or not believed."""
+        unbelieved = self._in_contact_before or self.flags & ENCODER_SLIPS
+        return None if unbelieved else self._gap_m
+
+    def probabilities_by_name(self) -> dict[str, float]:
+        return dict(zip((*self.names, UNKNOWN), map(float, self.probabilities), strict=True))
+
+    def time_to_decision_s(self) -> float | None:
+        if self.label == UNDECIDED:
+            return None
+        since = self.contact_tick if self.contact_tick >= 0 else self.start_tick
+        return max(self.decision.decided_tick - since, 0) / self._rate_hz
+
+    def compute_criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
+        """The paper's convergence time (s after contact) and mean force error (N) of each filter."""
+        convergence = self._errors.convergence_samples() / self._rate_hz
+        error = self._errors.mean_error_n()
+        return (
+            dict(zip(self.names, map(finite_or_none, convergence), strict=True)),
+            dict(zip(self.names, map(finite_or_none, error), strict=True)),
+        )
+
+    def finish(self, end_tick: int) -> GraspRecord:
+        """The record of the grasp that ended at `end_tick`."""
+        convergence, error = self.compute_criteria()
+        rate_hz = self._rate_hz
+        label, probabilities = self.label, self.probabilities_by_name()
+        parameters = [np.nan] * 3
+        best = self._bank.find_most_likely() if self.contact_tick >= 0 else -1
+        if best >= 0:
+            parameters = np.exp(self._bank.state.mean[best, PARAMETERS])
+        why_invalid = self.find_invalid_reason()
+        return GraspRecord(
+            index=self.index,
+            start_s=self.start_tick / rate_hz,
+            contact_s=self.contact_tick / rate_hz if self.contact_tick >= 0 else None,
+            end_s=end_tick / rate_hz,
+            label=label,
+            probability=probabilities.get(label),
+            probabilities=probabilities,
+            time_to_decision_s=self.time_to_decision_s(),
+            alpha_n=finite_or_none(parameters[0]),
+            beta_per_m=finite_or_none(parameters[1]),
+            damping_kg_per_s=finite_or_none(parameters[2]),
+            peak_force_n=finite_or_none(self.peak_force_n),
+            peak_displacement_m=finite_or_none(self.peak_displacement_m),
+            convergence_s=convergence,
+            force_error_n=error,
+            valid=why_invalid is None,
+            why_invalid=why_invalid,
+            peak_share_of_limit=finite_or_none(self.peak_share_of_limit),
+        )

@@ -1,0 +1,158 @@
+"""How right, how early and how honest a learned library is on grasps that it was not learned from.
+
+Three questions, from hard to easy. *Another recording*: each recording in turn is left out, where its tissue has
+another one. *Another tissue*: each tissue is left out as a whole, and its grasps should be unknown. *Later grasps*: one
+half in time of every recording is learned from, the other asked. The last one is too kind: it knows the session.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from config.errors import ConfigurationError
+from config.schema import IdentificationSettings, TissueLibrary, Tool
+from estimator.decision import UNDECIDED, UNKNOWN, Decision
+from estimator.learning.recorded_grasps import LabeledRecording, RecordedGrasp
+from estimator.loading.learned_evidence import LearnedEvidence, LearnedGrasp
+
+STEP_SAMPLES = 5  # as the session renews probabilities
+FORCE_CHECKPOINTS = (0.1, 0.2, 0.3, 0.5, 0.75)  # shares of the usual peak force, while it rises
+
+LibraryLearner = Callable[[Sequence[LabeledRecording]], TissueLibrary]
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ValidationAnswer:
+    """What a library that does not know a grasp's recording says of it."""
+
+    question: str
+    recording: str
+    grasp: int
+    truth: str  # a label, or unknown
+    label: str
+    decided_s: float | None  # since the command left zero
+    probabilities: dict[str, float]
+    truth_probabilities: tuple[float, ...]  # of the truth, as the force passes each of CHECKPOINTS, and at the end
+    most_likely: tuple[str, ...]  # at the same moments
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    question: str
+    training: list[LabeledRecording]
+    tests: list[tuple[LabeledRecording, str, frozenset[int]]]  # recording, right answer, positions of the grasps asked
+
+
+def folds(recordings: Sequence[LabeledRecording]) -> Iterator[Fold]:
+    """All that can be asked of these recordings, in an order that does not depend on theirs."""
+    recordings = sorted(recordings, key=lambda each: (each.label, each.sha256))
+    labels = sorted({each.label for each in recordings})
+    for left in recordings:
+        rest = [each for each in recordings if each is not left]
+        if left.label in {each.label for each in rest}:
+            yield Fold("another recording", rest, [(left, left.label, _all_positions(left))])
+    for label in labels if len(labels) > 2 else []:
+        rest = [each for each in recordings if each.label != label]
+        strangers = [(each, UNKNOWN, _all_positions(each)) for each in recordings if each.label == label]
+        yield Fold("another tissue", rest, strangers)
+    for late in (False, True):
+        halves = [_select_half(each, late=late) for each in recordings]
+        asked = [
+            (each, each.label, frozenset(_all_positions(each) - kept))
+            for each, (_, kept) in zip(recordings, halves, strict=True)
+        ]
+        yield Fold("later grasps" if not late else "earlier grasps", [half for half, _ in halves], asked)
+
+
+def _all_positions(recording: LabeledRecording) -> frozenset[int]:
+    return frozenset(range(len(recording.grasps)))
+
+
+def _select_half(recording: LabeledRecording, *, late: bool) -> tuple[LabeledRecording, frozenset[int]]:
+    """The earlier or later half, with the first grasp before it, which learning leaves out."""
+    middle = len(recording.grasps) // 2
+    kept = frozenset(range(middle, len(recording.grasps))) if late else frozenset(range(middle))
+    grasps = tuple(grasp for i, grasp in enumerate(recording.grasps) if i in kept or i == 0)
+    return replace(recording, grasps=grasps), kept | {0}
+
+
+def cross_validate(
+    recordings: Sequence[LabeledRecording],
+    learn: LibraryLearner,
+    tool: Tool,
+    settings: IdentificationSettings,
+    progress: Progress,
+) -> list[ValidationAnswer]:
+    """Every grasp's answer to every question that these recordings allow.
+
+    `learn`: the library that some of them make.
+    """
+    answers, todo = [], list(folds(recordings))
+    for done, fold in enumerate(todo):
+        progress(done / len(todo))
+        learnable = [each for each in fold.training if len(each.grasps) > 1]
+        try:
+            library = learn(learnable)
+        except (ValueError, ConfigurationError):
+            continue  # too little is left
+        asker = _FoldEvaluator(library, tool, settings)
+        for recording, truth, positions in fold.tests:
+            answers += asker.evaluate(
+                fold.question, recording, truth if truth in library.tissues else UNKNOWN, positions
+            )
+    return answers
+
+
+class _FoldEvaluator:
+    def __init__(self, library: TissueLibrary, tool: Tool, settings: IdentificationSettings) -> None:
+        self._evidence, self._settings = LearnedEvidence(library, tool, settings), settings
+        self._names = (*library.tissues, UNKNOWN)
+        self._rate_hz = tool.board.sample_rate_hz
+        self._peak_v = library.learned.usual_peak_v if library.learned else 1.0
+
+    def evaluate(
+        self, question: str, recording: LabeledRecording, truth: str, positions: frozenset[int]
+    ) -> Iterator[ValidationAnswer]:
+        shut_deg = None
+        for i, grasp in enumerate(recording.grasps):
+            learned = self._evidence.start_grasp(shut_deg, first=i == 0)
+            if i in positions and len(grasp.samples):
+                yield self._evaluate_grasp(question, recording, truth, grasp, learned)
+            else:
+                learned.loading_curve.append(grasp.samples)
+            found = learned.loading_curve.jaw_closure_deg
+            if found is not None:
+                shut_deg = found
+
+    def _evaluate_grasp(
+        self, question: str, recording: LabeledRecording, truth: str, grasp: RecordedGrasp, learned: LearnedGrasp
+    ) -> ValidationAnswer:
+        decision = Decision(self._names, self._settings, self._rate_hz)
+        course: list[np.ndarray] = []
+        start = int(grasp.samples["tick"][0])
+        probabilities = self._evidence.prior
+        for begin in range(0, len(grasp.samples), STEP_SAMPLES):
+            samples = grasp.samples[begin : begin + STEP_SAMPLES]
+            probabilities = learned.process(samples)
+            decision.update(probabilities, int(samples["tick"][-1]))
+            while (
+                len(course) < len(FORCE_CHECKPOINTS)
+                and learned.loading_curve.peak_v >= FORCE_CHECKPOINTS[len(course)] * self._peak_v
+            ):
+                course.append(probabilities)
+        course += [probabilities] * (len(FORCE_CHECKPOINTS) + 1 - len(course))
+        label = UNDECIDED if grasp.find_fault() and decision.label != UNKNOWN else decision.label
+        at = self._names.index(truth)
+        return ValidationAnswer(
+            question,
+            recording.file,
+            grasp.index,
+            truth,
+            label,
+            None if label == UNDECIDED else (decision.decided_tick - start) / self._rate_hz,
+            dict(zip(self._names, map(float, probabilities), strict=True)),
+            tuple(float(each[at]) for each in course),
+            tuple(self._names[int(each.argmax())] for each in course),
+        )

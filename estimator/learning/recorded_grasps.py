@@ -1,0 +1,105 @@
+"""Grasps as they are learned from: samples of each, and why some are left out."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from acquisition.sample_block import SampleFlag
+from config.schema import Tool
+from estimator.loading.constants import FEATURES, MEAN_SAMPLES, MIN_PEAK_SHARE
+from estimator.loading.loading_curve import LoadingCurve
+
+ENCODER_SLIPS, SATURATED = SampleFlag.ENCODER_SLIPS.value, SampleFlag.SATURATED.value
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedGrasp:
+    """One grasp of a recording, from where the command leaves zero to where it returns."""
+
+    index: int
+    samples: np.ndarray  # dtype SAMPLE
+    log_parameters: np.ndarray  # ln of alpha (N), beta (1/m), d (kg/s), (3,); NaN where no filter followed it
+    thickness_m: float | None  # where contact is sensed
+
+    @property
+    def peak_v(self) -> float:
+        """Highest strain voltage over the lowest before it, smoothed, V."""
+        volt = np.convolve(self.samples["strain_v"], np.full(MEAN_SAMPLES, 1 / MEAN_SAMPLES), "valid")
+        top = int(np.argmax(volt)) if len(volt) else 0
+        return float(volt[top] - volt[: top + 1].min()) if len(volt) else 0.0
+
+    def find_fault(self) -> str | None:
+        """Why nothing can be learned from it; None where it can."""
+        flags = int(np.bitwise_or.reduce(self.samples["flags"])) if len(self.samples) else 0
+        if flags & ENCODER_SLIPS:
+            return "encoder slips or walks"
+        if flags & SATURATED:
+            return "the strain gage is saturated"
+        if len(self.samples) and np.any(np.diff(self.samples["tick"]) != 1):
+            return "samples are missing"
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class LabeledRecording:
+    """A labelled recording."""
+
+    label: str
+    file: str
+    sha256: str
+    grasps: tuple[RecordedGrasp, ...]
+
+
+@dataclass(slots=True)
+class LoadingCurves:
+    """What of a recording is learned from: N grasps, F features."""
+
+    recording: LabeledRecording
+    features: np.ndarray  # (N, F)
+    log_parameters: np.ndarray  # (N, 3)
+    log_thickness: np.ndarray  # (N,), NaN where it is not measured
+    ramp_log: float
+    grasp_indices: list[int] = field(default_factory=list)  # of the grasps, from 1
+    left_out: list[str] = field(default_factory=list)
+
+
+def estimate_usual_peak_v(recordings: list[LabeledRecording]) -> float:
+    """Peak that grasps of all recordings reach, V, to a millivolt; NaN where no grasp is sound.
+
+    The lowest of the recordings' medians, unless a recording is much weaker than most.
+    """
+    peaks = [
+        np.median(sound) for each in recordings if (sound := [g.peak_v for g in each.grasps if not g.find_fault()])
+    ]
+    return round(float(max(min(peaks), MIN_PEAK_SHARE * np.median(peaks))), 3) if peaks else math.nan
+
+
+def extract_loading_curves(recording: LabeledRecording, tool: Tool, peak_v: float) -> LoadingCurves:
+    """Each sound grasp's loading curve. The first, on tissue that is not preconditioned, is left out on purpose."""
+    dt_s, stretch = 1.0 / tool.board.sample_rate_hz, tool.calibration.encoder_deg_per_volt
+    features, ramps, kept, left_out = [], [], [], []
+    for position, grasp in enumerate(recording.grasps):
+        loading = LoadingCurve(stretch, peak_v, dt_s, first=position == 0)
+        loading.append(grasp.samples)
+        seen = loading.observe_features()
+        why = grasp.find_fault() or ("first grasp: the tissue is not preconditioned" if position == 0 else None)
+        if why is None and not np.isfinite(seen.features).all():
+            missing = ", ".join(np.array(FEATURES)[~np.isfinite(seen.features)])
+            why = f"the force never came far enough to tell {missing}"
+        if why:
+            left_out.append(f"{grasp.index}: {why}")
+            continue
+        features.append(seen.features)
+        ramps.append(seen.ramp_log)
+        kept.append(grasp)
+    thickness = [math.nan if grasp.thickness_m is None else math.log(grasp.thickness_m) for grasp in kept]
+    return LoadingCurves(
+        recording,
+        np.array(features).reshape(-1, len(FEATURES)),
+        np.array([grasp.log_parameters for grasp in kept]).reshape(-1, 3),
+        np.array(thickness),
+        float(np.median(ramps)) if ramps else math.nan,
+        [grasp.index for grasp in kept],
+        left_out,
+    )

@@ -1,0 +1,58 @@
+"""Centres and covariances that outlying grasps do not move."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.loading.constants import POOLED_WEIGHT, ROBUST_DEGREES_OF_FREEDOM, SHAPE_WEIGHT
+
+ITERATIONS = 30
+MAD_TO_SD = 1.4826  # of a Gaussian
+
+
+def robust_scatter(
+    groups: Sequence[np.ndarray], floor_var: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """Centre of each group, weight of each of its rows, and the covariance within all groups together.
+
+    By weights of a Student's t with ROBUST_FREEDOM degrees: a grasp far out counts less, whichever group it is in.
+
+    Args:
+        groups: arrays of shape (n, p), n at least 1.
+        floor_var: variance added to each of the p columns, (p,), positive.
+
+    Returns:
+        Centres, each (p,); weights, each (n,); covariance (p, p), positive definite.
+    """
+    p, total = len(floor_var), max(sum(len(rows) - 1 for rows in groups), 1)
+    centres = [np.median(rows, axis=0) for rows in groups]
+    off = np.concatenate([rows - centre for rows, centre in zip(groups, centres, strict=True)])
+    cov = np.diag((MAD_TO_SD * np.median(np.abs(off), axis=0)) ** 2 + floor_var)
+    weights: list[np.ndarray] = []
+    for _ in range(ITERATIONS):
+        information = np.linalg.inv(cov)
+        weights, moments = [], np.zeros((p, p))
+        for i, rows in enumerate(groups):
+            off = rows - centres[i]
+            weight = (ROBUST_DEGREES_OF_FREEDOM + p) / (
+                ROBUST_DEGREES_OF_FREEDOM + np.einsum("ij,jk,ik->i", off, information, off)
+            )
+            centres[i] = weight @ rows / weight.sum()
+            off = rows - centres[i]
+            moments += (weight[:, None] * off).T @ off
+            weights.append(weight)
+        diagonal = np.diag(np.diag(moments) / total)
+        cov = (moments + SHAPE_WEIGHT * diagonal) / (total + SHAPE_WEIGHT) + np.diag(floor_var)
+    return centres, weights, cov
+
+
+def shrunk_scatter(
+    groups: Sequence[np.ndarray], centres: Sequence[np.ndarray], weights: Sequence[np.ndarray], pooled: np.ndarray
+) -> np.ndarray:
+    """Covariance (p, p) within one tissue's groups, drawn towards `pooled` as by POOLED_WEIGHT grasps."""
+    moments, count = POOLED_WEIGHT * pooled, POOLED_WEIGHT
+    for rows, centre, weight in zip(groups, centres, weights, strict=True):
+        off = rows - centre
+        moments = moments + (weight[:, None] * off).T @ off
+        count += len(rows) - 1
+    return moments / count

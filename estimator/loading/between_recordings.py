@@ -1,0 +1,79 @@
+"""What another recording of a tissue is likely to look like, given some of it and of others.
+
+Centres of recordings are a Gaussian process over tissue and the logarithm of the ramp: tissues differ widely, another
+ramp changes all of them alike and each a little by itself, and each recording has its own deviation. All of these have
+the same covariance over the features, up to their scales, so that a prediction is a weighted mean of centres.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.loading.constants import (
+    BETWEEN_CORRELATION,
+    BETWEEN_RANGE,
+    BETWEEN_SD,
+    RATE_LENGTH_LOG,
+    RATE_SCALE,
+    RATE_TISSUE_SCALE,
+    SESSION_SCALE,
+    SESSION_SCALE_WEIGHT,
+    TISSUE_SCALE,
+)
+
+SAME_RAMP_TOLERANCE_LOG = 0.2  # ramps that differ by less are one
+
+
+def between_covariance() -> np.ndarray:
+    """Covariance (F, F) of the features that all differences between recordings share, up to their scale."""
+    at = np.arange(len(BETWEEN_SD))
+    fall = BETWEEN_CORRELATION * np.exp(-np.abs(np.subtract.outer(at, at)) / BETWEEN_RANGE)
+    np.fill_diagonal(fall, 1.0)
+    return np.outer(BETWEEN_SD, BETWEEN_SD) * fall
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingCenters:
+    """Recordings that were learned from: R of them, T tissues."""
+
+    tissue_indices: np.ndarray  # (R,) index of the tissue
+    log_ramps: np.ndarray  # (R,)
+    centers: np.ndarray  # (R, F)
+    session_scale: float
+
+    def predict_center(self, tissue: int, ramp_log: float) -> tuple[np.ndarray, float]:
+        """Centre (F,) of a new recording of a tissue at a ramp, and its variance in units of `between_covariance`."""
+        same, near = (
+            np.equal.outer(self.tissue_indices, self.tissue_indices),
+            _compute_ramp_kernel(self.log_ramps, self.log_ramps),
+        )
+        among = RATE_SCALE**2 * near + same * (TISSUE_SCALE**2 + RATE_TISSUE_SCALE**2 * near)
+        np.fill_diagonal(among, among.diagonal() + self.session_scale**2)
+        near_new = _compute_ramp_kernel(self.log_ramps, np.array([ramp_log]))[:, 0]
+        own = self.tissue_indices == tissue
+        to_new = RATE_SCALE**2 * near_new + own * (TISSUE_SCALE**2 + RATE_TISSUE_SCALE**2 * near_new)
+        information = np.linalg.inv(among)
+        level = (information @ self.centers).sum(axis=0) / information.sum()
+        weight = to_new @ information
+        variance = RATE_SCALE**2 + RATE_TISSUE_SCALE**2 + TISSUE_SCALE**2 - weight @ to_new
+        variance += (1.0 - weight.sum()) ** 2 / information.sum() + self.session_scale**2
+        return level + weight @ (self.centers - level), float(variance)
+
+
+def _compute_ramp_kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.exp(-0.5 * (np.subtract.outer(a, b) / RATE_LENGTH_LOG) ** 2)
+
+
+def estimate_session_scale(tissue: np.ndarray, ramp_log: np.ndarray, centre: np.ndarray) -> float:
+    """Scale of the deviation from recording to recording: the prior's, moved by recordings that repeat each other."""
+    information = np.linalg.inv(between_covariance())
+    weight, total = SESSION_SCALE_WEIGHT, SESSION_SCALE_WEIGHT * SESSION_SCALE**2
+    for name in np.unique(tissue):
+        own = np.flatnonzero(tissue == name)
+        for i, first in enumerate(own):
+            for second in own[i + 1 :]:
+                if abs(ramp_log[first] - ramp_log[second]) < SAME_RAMP_TOLERANCE_LOG:
+                    off = centre[first] - centre[second]
+                    total += float(off @ information @ off) / (2 * len(off)) / (len(own) - 1)
+                    weight += 1.0 / (len(own) - 1)
+    return float(np.sqrt(total / weight))

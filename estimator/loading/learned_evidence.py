@@ -1,0 +1,126 @@
+"""From a loading curve to a probability for each tissue of a learned library and for `unknown`."""
+
+import math
+
+import numpy as np
+
+from config.schema import IdentificationSettings, TissueLibrary, Tool
+from estimator.loading.between_recordings import RecordingCenters, between_covariance
+from estimator.loading.constants import (
+    DEGREES_OF_FREEDOM,
+    FIRST_GRASP_SCALE,
+    PREVIOUS_CLOSURE_MIXTURE,
+    UNKNOWN_DEGREES_OF_FREEDOM,
+    UNKNOWN_SCALE,
+)
+from estimator.loading.loading_curve import LoadingCurve, ObservedFeatures
+
+Gaussian = tuple[np.ndarray, np.ndarray]  # mean (F,), covariance (F, F)
+
+
+class LearnedEvidence:
+    """What a learned library makes of loading curves. Probabilities are in the library's order, `unknown` last."""
+
+    def __init__(self, library: TissueLibrary, tool: Tool, settings: IdentificationSettings) -> None:
+        learned = library.learned
+        if learned is None:
+            raise ValueError("the library was not learned")
+        rows = [(i, r) for i, t in enumerate(library.tissues.values()) if t.learned for r in t.learned.recordings]
+        self._centers = RecordingCenters(
+            tissue_indices=np.array([i for i, _ in rows]),
+            log_ramps=np.log([r.ramp_v_per_s for _, r in rows]),
+            centers=np.array([r.centre for _, r in rows]),
+            session_scale=learned.session_scale,
+        )
+        self._within_covariances = [
+            np.array(t.learned.loading_covariance) for t in library.tissues.values() if t.learned
+        ]
+        self._between_covariance = between_covariance()
+        known = (1.0 - settings.prior_unknown) / len(self._within_covariances)
+        self._log_prior = np.log([known] * len(self._within_covariances) + [settings.prior_unknown])
+        self._peak_v = learned.usual_peak_v
+        self._stretch_deg_per_volt = tool.calibration.encoder_deg_per_volt
+        self._dt_s = 1.0 / tool.board.sample_rate_hz
+
+    def start_grasp(self, previous_closure_deg: float | None, *, first: bool) -> "LearnedGrasp":
+        """Follow a grasp from its start."""
+        loading = LoadingCurve(self._stretch_deg_per_volt, self._peak_v, self._dt_s, previous_closure_deg, first=first)
+        return LearnedGrasp(self, loading, first=first)
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Probabilities before any data, (M + 1,)."""
+        return np.exp(self._log_prior)
+
+    def predict_features(self, ramp_log: float, *, first: bool) -> list[Gaussian]:
+        """Of each tissue, and of unknown, what a grasp at a ramp is likely to give."""
+        tissues = []
+        for i, within in enumerate(self._within_covariances):
+            centre, variance = self._centers.predict_center(i, ramp_log)
+            variance += FIRST_GRASP_SCALE**2 if first else 0.0
+            tissues.append((centre, within + variance * self._between_covariance))
+        centres = np.array([centre for centre, _ in tissues])
+        middle = centres.mean(axis=0)
+        apart = (centres - middle).T @ (centres - middle) / max(len(centres) - 1, 1)
+        spread = apart + np.mean([cov for _, cov in tissues], axis=0)
+        return [*tissues, (middle, UNKNOWN_SCALE**2 * spread)]
+
+    def compute_posterior(self, observed: ObservedFeatures, predictions: list[Gaussian]) -> np.ndarray:
+        """Posterior probabilities, (M + 1,), from what has been seen so far."""
+        told = np.flatnonzero(np.isfinite(observed.features))
+        if not len(told):
+            return self.prior
+        slope = observed.closure_sensitivity[told]
+        doubts = [(math.log(share), sd_deg**2 * np.outer(slope, slope)) for share, sd_deg in PREVIOUS_CLOSURE_MIXTURE]
+        doubts = doubts if slope.any() else [(0.0, 0.0)]
+        log_weight = self._log_prior.copy()
+        for i, (mean, cov) in enumerate(predictions):
+            freedom = UNKNOWN_DEGREES_OF_FREEDOM if i == len(predictions) - 1 else DEGREES_OF_FREEDOM
+            off, own = observed.features[told] - mean[told], cov[np.ix_(told, told)]
+            log_weight[i] += np.logaddexp.reduce(
+                [s + compute_student_log_density(off, own + doubt, freedom) for s, doubt in doubts]
+            )
+        weight = np.exp(log_weight - log_weight.max())
+        return weight / weight.sum()
+
+
+class LearnedGrasp:
+    """One grasp under way: its loading curve, and what that makes likely."""
+
+    def __init__(self, evidence: LearnedEvidence, loading: LoadingCurve, *, first: bool) -> None:
+        self._evidence, self.loading_curve, self._first = evidence, loading, first
+        self._predictions: list[Gaussian] = []
+        self._predicted_ramp_log = math.nan
+        self._probabilities: np.ndarray | None = None
+        self._last_features = b""
+
+    def process(self, samples: np.ndarray) -> np.ndarray:
+        """Take samples of dtype SAMPLE; returns the probabilities, (M + 1,)."""
+        if self._probabilities is not None and self.loading_curve.ended:
+            return self._probabilities
+        self.loading_curve.append(samples)
+        seen = self.loading_curve.observe_features()
+        what = seen.features.tobytes() + seen.closure_sensitivity.tobytes()
+        if (
+            self._probabilities is not None
+            and what == self._last_features
+            and seen.ramp_log == self._predicted_ramp_log
+        ):
+            return self._probabilities  # nothing new: most steps pass no level of force or travel
+        self._last_features = what
+        if seen.ramp_log != self._predicted_ramp_log:
+            self._predictions, self._predicted_ramp_log = (
+                self._evidence.predict_features(seen.ramp_log, first=self._first),
+                seen.ramp_log,
+            )
+        self._probabilities = self._evidence.compute_posterior(seen, self._predictions)
+        return self._probabilities
+
+
+def compute_student_log_density(off: np.ndarray, scale: np.ndarray, freedom: float) -> float:
+    """Logarithm of the density of a multivariate Student's t at `off` (p,) from its centre, scale matrix (p, p)."""
+    lower = np.linalg.cholesky(scale)
+    z = np.linalg.solve(lower, off)
+    p = len(off)
+    constant = math.lgamma(0.5 * (freedom + p)) - math.lgamma(0.5 * freedom) - 0.5 * p * math.log(freedom * math.pi)
+    return constant - float(np.log(np.diag(lower)).sum()) - 0.5 * (freedom + p) * math.log1p(float(z @ z) / freedom)

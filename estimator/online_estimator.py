@@ -1,0 +1,320 @@
+"""From sample blocks to estimate blocks: follows a source from its first sample to its last."""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
+from acquisition.signals.grasp_tracker import BACKDATING_SAMPLES, COMMAND_CONFIRM_SAMPLES
+from config.schema import Settings, TissueLibrary, Tool
+from estimator.constants import MIN_REST_SAMPLES, REST_SAMPLES, REST_SETTLING_SAMPLES, REST_VARIANCE_RANGE
+from estimator.decision import UNDECIDED
+from estimator.estimate_block import (
+    EstimateBlock,
+    GraspRecord,
+    IdentificationResult,
+    LabelWithdrawal,
+    blank_estimates,
+    estimate_dtype,
+    finite_or_none,
+)
+from estimator.evidence import BankEvidence
+from estimator.filter_bank import FilterBank
+from estimator.force_alarms import ForceAlarm, ForceAlarmMonitor
+from estimator.forecast import ForceForecast
+from estimator.grasp_estimation import GraspEstimator
+from estimator.loading.learned_evidence import LearnedEvidence, LearnedGrasp
+
+IN_GRASP, CONTACT, CONTACT_SENSED = SampleFlag.IN_GRASP.value, SampleFlag.CONTACT.value, SampleFlag.CONTACT_SENSED.value
+INVALID, ENCODER_SLIPS, LIMITED = SampleFlag.INVALID.value, SampleFlag.ENCODER_SLIPS.value, SampleFlag.LIMITED.value
+APPROACH_SAMPLES = 8  # before contact: how fast the jaws come
+STEP_SAMPLES = 5  # probabilities are renewed at ticks that are multiples of this, and at a block's end
+MEDIAN_DIFFERENCE_PER_SD = (
+    0.6745 * 2**0.5
+)  # of two samples' difference, in standard deviations of one, if it is Gaussian
+MIN_PLAUSIBLE_PROBABILITY = 0.05  # a tissue at least this probable keeps its threshold in force
+CRITERIA_INTERVAL_STEPS = 20  # steps between two evaluations of the paper's criteria for the live view
+
+
+class RestNoiseEstimator:
+    """The strain gage's noise as it is before a grasp, whatever the tool file says: it ages, and its cable moves."""
+
+    def __init__(self, tool: Tool) -> None:
+        self._tool_file_variance_v2 = tool.noise.strain_var_v2
+        self._differences_v: deque[float] = deque(maxlen=REST_SAMPLES)
+        self._last_v: float | None = None
+        self._rest_samples = REST_SETTLING_SAMPLES  # what comes first in a source is no rest after a grasp
+
+    def update(self, strain_v: list[float], *, at_rest: bool) -> None:
+        """Follow the samples of a step, which counts as in a grasp where its last sample is."""
+        if not at_rest:
+            self._rest_samples, self._last_v = 0, None
+            return
+        for value in strain_v:
+            if not math.isfinite(value):
+                self._last_v = None
+                continue
+            if self._rest_samples >= REST_SETTLING_SAMPLES and self._last_v is not None:
+                self._differences_v.append(abs(value - self._last_v))
+            self._rest_samples += 1
+            self._last_v = value
+
+    def variance_v2(self) -> float:
+        """Variance of one sample, V²: from the median step, which neither drift nor spikes disturb."""
+        if len(self._differences_v) < MIN_REST_SAMPLES:
+            return self._tool_file_variance_v2
+        sd_v = float(np.median(self._differences_v)) / MEDIAN_DIFFERENCE_PER_SD
+        low, high = REST_VARIANCE_RANGE
+        return min(max(sd_v**2, low * self._tool_file_variance_v2), high * self._tool_file_variance_v2)
+
+
+class TissueEstimator:
+    """The estimator's whole state. Call `process` with each block in its order, `finish` after the last."""
+
+    def __init__(self, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
+        """Before a source's first block.
+
+        Raises:
+            ConfigurationError: the library was learned with a tool of another calibration.
+        """
+        self._tool = tool
+        self._rate_hz = tool.board.sample_rate_hz
+        self._thresholds_n = library.displayed_thresholds_n(tool)
+        self._lowest_threshold_n = min(self._thresholds_n.values())
+        self._settings = settings.identification
+        self._opening_m = tool.geometry.opening_m
+        self.bank = FilterBank.from_tool(tool, library)
+        self.evidence = BankEvidence(self.bank, library, self._settings)
+        library.check_tool(tool)
+        self._learned_evidence = LearnedEvidence(library, tool, self._settings) if library.learned else None
+        self._alarm_monitor = ForceAlarmMonitor(settings.warnings)
+        self._dtype = estimate_dtype(len(library.tissues))
+        self._contact_detection = tool.contact
+        self._run = ""
+        self._reset()
+
+    def _reset(self) -> None:
+        """As if nothing had been seen before; force warnings go on, as the force does."""
+        self._recent_samples = np.zeros(0, SAMPLE_DTYPE)
+        self._rest_noise = RestNoiseEstimator(self._tool)
+        self._previous_closure_deg: float | None = (
+            None  # where the grasp before shut the jaws, as a learned library needs it
+        )
+        self._strain_var_v2 = self._rest_noise.variance_v2()  # as measured before the grasp under way
+        self._forecast = ForceForecast(self._rate_hz)
+        self._history_samples = max(2 * BACKDATING_SAMPLES, self._forecast.window_samples)
+        self._grasp: GraspEstimator | None = None
+        self._in_grasp = False
+        self._published_label = UNDECIDED  # label of the grasp under way as it was told last
+        self._criteria = self._empty_criteria()
+        self._last_tick = 0
+
+    def _empty_criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
+        nothing: dict[str, float | None] = dict.fromkeys(self._thresholds_n)
+        return nothing, nothing
+
+    def process(self, block: SampleBlock) -> EstimateBlock:
+        """Estimates, identification, finished grasps and alarms for one block."""
+        ended: list[GraspRecord] = []
+        if block.run and block.run != self._run:
+            cut_short = self.finish()
+            ended += [cut_short] if cut_short else []
+            self._reset()
+        self._run = block.run
+        n, kept = len(block.samples), len(self._recent_samples)
+        window = np.empty(kept + n, SAMPLE_DTYPE)
+        window[:kept], window[kept:] = self._recent_samples, block.samples
+        self._recent_samples = window[-self._history_samples :]
+        estimates = blank_estimates(self._dtype, block.samples["tick"])
+        if self._in_grasp and self._grasp:
+            self._grasp.lost_samples += int(block.samples["tick"][0]) - self._last_tick - 1
+        alarms: list[ForceAlarm] = []
+        withdrawn: list[LabelWithdrawal] = []
+        ends = [*(np.flatnonzero(np.diff(block.samples["tick"] // STEP_SAMPLES)) + 1).tolist(), n]
+        begin = 0
+        for end in ends:
+            rows = estimates[begin:end]
+            self._process_step(window[: kept + end], rows, ended, withdrawn)
+            self._update_alarms(window[kept + begin : kept + end], rows, alarms)
+            begin = end
+        self._last_tick = int(block.samples["tick"][-1])
+        return EstimateBlock(
+            block.sequence,
+            block.t_mono_ns,
+            block.lost_samples,
+            estimates,
+            self._build_identification(block.samples),
+            tuple(ended),
+            tuple(alarms),
+            tuple(withdrawn),
+        )
+
+    def finish(self) -> GraspRecord | None:
+        """The record of a grasp that the source's end cut short."""
+        if not (self._in_grasp and self._grasp):
+            return None
+        self._in_grasp = False
+        return self._grasp.finish(self._last_tick)
+
+    def _process_step(
+        self, window: np.ndarray, rows: np.ndarray, ended: list[GraspRecord], withdrawn: list[LabelWithdrawal]
+    ) -> None:
+        """The last few samples of `window`: begin, follow or end the grasp they belong to."""
+        last = window[-1]
+        in_grasp = bool(last["flags"] & IN_GRASP)
+        self._rest_noise.update(window[-len(rows) :]["strain_v"].tolist(), at_rest=not in_grasp)
+        if self._in_grasp and self._grasp and (not in_grasp or last["grasp"] != self._grasp.index):
+            ended.append(self._grasp.finish(int(last["tick"]) - COMMAND_CONFIRM_SAMPLES + 1))
+            self._in_grasp = False
+            self._criteria = (ended[-1].convergence_s, ended[-1].force_error_n)
+        if in_grasp and not self._in_grasp:
+            self._in_grasp = True
+            self._criteria = self._empty_criteria()
+            self._published_label = UNDECIDED
+            self._strain_var_v2 = self._rest_noise.variance_v2()
+            self._grasp = GraspEstimator(
+                int(last["grasp"]),
+                int(last["grasp_start_tick"]),
+                self.bank,
+                self.evidence,
+                self._settings,
+                self._rate_hz,
+                in_contact_before=self._is_touch_sensed(window, int(last["grasp_start_tick"])),
+                learned_grasp=self._start_learned_grasp(window[: -len(rows)], int(last["grasp_start_tick"])),
+            )
+        if self._in_grasp and self._grasp:
+            self._update_grasp(self._grasp, window, rows)
+            self._note_withdrawal(self._grasp, int(last["tick"]), withdrawn)
+
+    def _start_learned_grasp(self, before: np.ndarray, start_tick: int) -> LearnedGrasp | None:
+        """With a learned library, what follows the loading curve; it is given those samples since the grasp's start
+        that came before this step."""
+        if self._learned_evidence is None:
+            return None
+        if self._grasp and self._grasp.learned_grasp:  # the grasp before
+            shut_deg = self._grasp.learned_grasp.loading_curve.jaw_closure_deg
+            if shut_deg is not None or self._grasp.flags & ENCODER_SLIPS:
+                self._previous_closure_deg = None if self._grasp.flags & ENCODER_SLIPS else shut_deg
+        learned = self._learned_evidence.start_grasp(self._previous_closure_deg, first=self._grasp is None)
+        learned.loading_curve.append(before[np.searchsorted(before["tick"], start_tick) :])
+        return learned
+
+    def _note_withdrawal(self, grasp: GraspEstimator, tick: int, withdrawn: list[LabelWithdrawal]) -> None:
+        """Note where the name that was told last does not hold any more, whatever took it away."""
+        told, self._published_label = self._published_label, grasp.label
+        if told not in (UNDECIDED, grasp.label):
+            left = grasp.probabilities_by_name()[told]
+            withdrawn.append(LabelWithdrawal(tick, grasp.index, told, left, grasp.find_invalid_reason()))
+
+    def _is_touch_sensed(self, window: np.ndarray, tick: int) -> bool:
+        """Whether a trusted sensor told touch at that tick."""
+        if not self._contact_detection.touch_trusted:
+            return False
+        at = window[min(int(np.searchsorted(window["tick"], tick)), len(window) - 1)]
+        return max(float(at["touch_1_v"]), float(at["touch_2_v"])) > self._contact_detection.touch_threshold_v
+
+    def _update_grasp(self, grasp: GraspEstimator, window: np.ndarray, rows: np.ndarray) -> None:
+        samples, last = window[-len(rows) :], window[-1]
+        grasp.flags |= int(np.bitwise_or.reduce(samples["flags"]))
+        grasp.peak_force_n = np.fmax(grasp.peak_force_n, np.fmax.reduce(samples["jaw_force_filtered_n"]))
+        grasp.peak_share_of_limit = np.fmax(
+            grasp.peak_share_of_limit, np.fmax.reduce(samples["jaw_force_filtered_n"] / samples["limit_n"])
+        )
+        grasp.peak_displacement_m = np.fmax(grasp.peak_displacement_m, np.fmax.reduce(samples["tissue_displacement_m"]))
+        if last["wall_tick"] >= 0 and not grasp.learning_ended:
+            grasp.on_jaw_closure(int(last["wall_tick"]), int(last["contact_tick"]))
+        grasp.learning_ended |= bool(grasp.flags & ENCODER_SLIPS)
+        if last["contact_tick"] >= 0 and not grasp.learning_ended:
+            self._update_filters(grasp, window, rows)
+        elif grasp.learning_ended and grasp.learned_grasp is None:
+            grasp.decision.update(grasp.probabilities, int(last["tick"]))  # what is known by now may still be told
+        grasp.update_loading_curve(samples)
+        rows["probability"] = grasp.probabilities[:-1]
+        rows["probability_unknown"] = grasp.probabilities[-1]
+
+    def _update_filters(self, grasp: GraspEstimator, window: np.ndarray, rows: np.ndarray) -> None:
+        """Give the samples in contact to the filters, those before contact was known included."""
+        samples = window[-len(rows) :]
+        if grasp.contact_tick < 0:
+            since = int(np.searchsorted(window["tick"], window[-1]["contact_tick"]))
+            before_m = window["jaw_displacement_m"][max(since - APPROACH_SAMPLES, 0) : since]
+            sensed = bool(window[-1]["flags"] & CONTACT_SENSED)  # a back-dated first sample does not know it yet
+            sound = np.flatnonzero((window["flags"][since:] & INVALID) == 0)
+            if not len(sound):
+                return  # contact is told, but nothing of it can be believed yet
+            first = since + int(sound[0])
+            grasp.on_contact(window[first], before_m, self._opening_m, self._strain_var_v2, contact_sensed=sensed)
+            samples = window[first + 1 :]
+            rows = blank_estimates(self._dtype, samples["tick"])  # what is earlier has been published
+        sound = (samples["flags"] & INVALID) == 0
+        if not sound.all():
+            grasp.invalid_samples += int(np.count_nonzero(~sound))
+            samples, rows = samples[sound], rows[sound]
+        if len(samples):
+            grasp.process(samples, rows)
+
+    def _update_alarms(self, samples: np.ndarray, rows: np.ndarray, alarms: list[ForceAlarm]) -> None:
+        threshold_n, tissue = self._find_active_threshold(self._grasp.label if self._grasp else UNDECIDED)
+        rows["threshold_n"] = threshold_n
+        force_n = float(np.add.reduce(samples["jaw_force_n"])) / len(samples)
+        if np.isfinite(force_n):
+            alarm = self._alarm_monitor.update(int(samples["tick"][-1]), force_n, threshold_n, tissue)
+            if alarm:
+                alarms.append(alarm)
+
+    def _find_active_threshold(self, label: str) -> tuple[float, str | None]:
+        """Injury threshold in force, N, and whose it is; the lowest of the library (None) while no tissue is named.
+
+        A named tissue's threshold counts only as far as no other tissue with a lower one is still plausible.
+        """
+        if not (self._in_grasp and self._grasp and label in self._thresholds_n):
+            return self._lowest_threshold_n, None
+        likely = zip(self._thresholds_n, self._grasp.probabilities[:-1], strict=True)
+        plausible = [name for name, probability in likely if name == label or probability >= MIN_PLAUSIBLE_PROBABILITY]
+        tissue = min(plausible, key=self._thresholds_n.__getitem__)
+        return self._thresholds_n[tissue], tissue
+
+    def _build_identification(self, samples: np.ndarray) -> IdentificationResult:
+        grasp, last = self._grasp, samples[-1]
+        step = int(last["tick"]) // STEP_SAMPLES
+        held_steps = (int(last["tick"]) - grasp.start_tick) // STEP_SAMPLES if grasp else 0
+        every = max(
+            CRITERIA_INTERVAL_STEPS, held_steps // CRITERIA_INTERVAL_STEPS
+        )  # the longer the grasp, the dearer the look back
+        if grasp and self._in_grasp and not grasp.learning_ended and step % every == 0:
+            self._criteria = grasp.compute_criteria()
+        probabilities = grasp.probabilities_by_name() if grasp else {}
+        label = grasp.label if grasp else UNDECIDED
+        threshold_n, tissue = self._find_active_threshold(label)
+        return IdentificationResult(
+            tick=int(last["tick"]),
+            grasp=grasp.index if grasp else 0,
+            in_grasp=self._in_grasp,
+            in_contact=bool(last["flags"] & CONTACT),
+            label=label,
+            probability=probabilities.get(label),
+            probabilities=probabilities,
+            time_to_decision_s=grasp.time_to_decision_s() if grasp else None,
+            force_n=finite_or_none(float(last["jaw_force_filtered_n"])),
+            peak_force_n=finite_or_none(grasp.peak_force_n) if grasp else None,
+            threshold_n=threshold_n,
+            threshold_tissue=tissue,
+            limit_n=finite_or_none(float(last["limit_n"])),
+            holding_back=bool(last["flags"] & LIMITED),
+            time_to_limit_s=self._forecast_time_to_limit_s(float(last["limit_n"])),
+            thickness_m=grasp.thickness_m if grasp else None,
+            convergence_s=self._criteria[0],
+            force_error_n=self._criteria[1],
+        )
+
+    def _forecast_time_to_limit_s(self, limit_n: float) -> float | None:
+        """Until the force reaches the limit, s, if it goes on as over the last samples; None between grasps, and where
+        nothing limits the force (NaN)."""
+        recent, n = self._recent_samples, self._forecast.window_samples
+        if not self._in_grasp or math.isnan(limit_n):
+            return None
+        if len(recent) < n or recent["tick"][-1] - recent["tick"][-n] != n - 1:
+            return None
+        noise_sd_n = abs(float(recent["newton_per_volt"][-1])) * math.sqrt(self._strain_var_v2)
+        return self._forecast.forecast_time_to_limit_s(recent["jaw_force_n"][-n:], limit_n, noise_sd_n)

@@ -1,0 +1,113 @@
+"""The course of one simulated grasp's answer over the time since contact, from the session as it runs live."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from acquisition.sample_block import SampleBlock
+from config.load import load_library, load_protocol, load_settings, load_tool
+from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
+from estimator.decision import UNDECIDED
+from estimator.estimate_block import GraspRecord
+from estimator.online_estimator import TissueEstimator
+from estimator.studies.simulated_grasps import GraspCase, SimulatedGrasp, simulate_grasp, with_noise, without_touch
+
+STEP_S = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class StudyConditions:
+    """What the grasps of a study have in common. Names, so that it goes to other processes cheaply."""
+
+    protocol: str = "trapezoid_2hz"
+    library: str = "porcine"
+    noise_mv: float = 2.0
+    spread: float = 1.0
+    touch: bool = True
+    thickness: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class StudySetup:
+    """What a `Bench` names, loaded."""
+
+    tool: Tool
+    library: TissueLibrary
+    settings: Settings
+    protocol: GraspProtocol
+
+
+@lru_cache(maxsize=8)
+def load_study_setup(bench: StudyConditions) -> StudySetup:
+    """Load what the bench names; the simulated tool, with the noise and specimens' spread that it asks for."""
+    tool = with_noise(load_tool("simulated"), bench.noise_mv * 1e-3)
+    assert tool.simulation is not None
+    tool = tool.model_copy(update={"simulation": tool.simulation.model_copy(update={"spread_scale": bench.spread})})
+    settings = load_settings()
+    identification = settings.identification.model_copy(update={"use_thickness": bench.thickness})
+    return StudySetup(
+        tool if bench.touch else without_touch(tool),
+        load_library(bench.library),
+        settings.model_copy(update={"identification": identification}),
+        load_protocol(bench.protocol),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ProbabilityHistory:
+    """One grasp's answer over time; row i of `probabilities` was known `times_s[i]` after contact."""
+
+    case: GraspCase
+    times_s: np.ndarray  # (steps,)
+    probabilities: np.ndarray  # (steps, M + 1)
+    record: GraspRecord
+    labels: tuple[str, ...]  # named within the grasp, in their order
+    thickness_m: float
+    log_parameters: np.ndarray  # (3,) the specimen's own
+    grasp: SimulatedGrasp | None = None
+
+    def probabilities_at(self, time_s: float) -> np.ndarray:
+        """Probabilities, (M + 1,), as known at a time after contact; the first ones where contact was not known yet."""
+        known = int(np.searchsorted(self.times_s, time_s + 1e-9, side="right")) - 1
+        return self.probabilities[max(known, 0)]
+
+
+def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistory:
+    """Simulate a grasp and give it to an estimation session, as a run does."""
+    lab = load_study_setup(bench)
+    grasp = simulate_grasp(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
+    session = TissueEstimator(lab.tool, lab.library, lab.settings)
+    samples = grasp.samples
+    rows, ticks, labels, record = [], [], [], None
+    for begin in range(0, len(samples), lab.tool.board.block_samples):
+        block = session.process(SampleBlock(begin, 0, 0, samples[begin : begin + lab.tool.board.block_samples]))
+        found = block.identification
+        if found.in_grasp and found.in_contact:
+            rows.append(np.fromiter(found.probabilities.values(), float))
+            ticks.append(found.tick)
+        if found.label not in (UNDECIDED, *labels[-1:]):
+            labels.append(found.label)
+        record = block.ended[0] if block.ended else record
+    record = record or session.finish()
+    assert record is not None, "a protocol commands a grasp"
+    material = grasp.specimen.material
+    return ProbabilityHistory(
+        case,
+        np.array(ticks) / lab.tool.board.sample_rate_hz - (record.contact_s or 0.0) if rows else np.zeros(1),
+        np.array(rows) if rows else np.fromiter(record.probabilities.values(), float)[None],
+        record,
+        tuple(labels),
+        grasp.specimen.thickness_m,
+        np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s]),
+        grasp,
+    )
+
+
+def build_balanced_cases(library: TissueLibrary, grasps: int, seed: int, **changes) -> list[GraspCase]:
+    """`grasps` cases of every tissue of the library; each has its own seed."""
+    return [
+        GraspCase(tissue, seed * 1_000_000 + number * 10_000 + grasp, **changes)
+        for number, tissue in enumerate(library.tissues)
+        for grasp in range(grasps)
+    ]

@@ -1,0 +1,159 @@
+"""The best that a grasp's samples say of its parameters, once they are all there: maximum a posteriori.
+
+An extended filter that learns as it goes takes noise in the velocity for a reason to change the damping. Here the
+parameters stay fixed while a filter follows displacement, velocity, offset and strain noise; its innovations, their
+variances and their slopes give one Gauss-Newton step for the parameters after the other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.compilation import compiled
+from estimator.filter_bank import FilterBank
+from estimator.kalman_filter import (
+    DISPLACEMENT,
+    LOG_ALPHA,
+    LOG_MASS,
+    METRE_PER_VOLT,
+    OFFSET,
+    PARAMETERS_AND_MASS,
+    STATE_COUNT,
+    STRAIN_NOISE,
+    FilterNoise,
+    X,
+    predict,
+    project_covariance,
+)
+
+ITERATIONS = 8
+DIFFERENCE_STEP = 1e-4  # of a log parameter, for slopes
+MAX_STEP = 1.0  # of a log parameter in one iteration
+STEP_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class PosteriorProblem:
+    """A grasp's samples, (n, 5) as the bank takes them, and how filter `k` of a bank began it."""
+
+    mean: np.ndarray  # (9,)
+    cov: np.ndarray  # (9, 9)
+    samples: np.ndarray
+    noise: FilterNoise
+
+    @classmethod
+    def from_bank(cls, bank: FilterBank, k: int, samples: np.ndarray) -> "PosteriorProblem":
+        """Of the grasp that the bank was started with; `samples`, (n, 5), begin with the first in contact."""
+        mean, cov, noise = bank.initial_state(k)
+        return cls(mean, cov, samples, noise)
+
+    @property
+    def prior_var(self) -> np.ndarray:
+        """Of log alpha, log beta, log d, log m, (4,); 0 where known."""
+        return np.diag(self.cov)[PARAMETERS_AND_MASS].copy()
+
+    def innovations(self, log_parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Innovations, m, and their variances, m², of a filter that holds these four for true."""
+        mean, cov = self.mean.copy(), self.cov.copy()
+        mean[PARAMETERS_AND_MASS] = log_parameters
+        cov[PARAMETERS_AND_MASS, :], cov[:, PARAMETERS_AND_MASS] = 0.0, 0.0
+        return _innovations(mean, cov, self.samples, self.noise)
+
+    def compute_gradient_and_information(self, log_parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the negative log posterior: its gradient, (4,), and Fisher information, (4, 4); 0 for what is known."""
+        found, variance = self.innovations(log_parameters)
+        slopes, log_slopes = np.zeros((4, len(found))), np.zeros((4, len(found)))
+        prior = self.prior_var
+        for j in np.flatnonzero(prior > 0):
+            shift = np.zeros(4)
+            shift[j] = DIFFERENCE_STEP
+            (up, up_var), (down, down_var) = (self.innovations(log_parameters + s) for s in (shift, -shift))
+            slopes[j] = (up - down) / (2 * DIFFERENCE_STEP)
+            log_slopes[j] = (np.log(up_var) - np.log(down_var)) / (2 * DIFFERENCE_STEP)
+        inverse = np.divide(1.0, prior, out=np.zeros(4), where=prior > 0)
+        scaled = slopes / np.sqrt(variance)
+        of_variance = 0.5 * log_slopes @ (1.0 - found**2 / variance)
+        gradient = (
+            slopes @ (found / variance) + of_variance + inverse * (log_parameters - self.mean[PARAMETERS_AND_MASS])
+        )
+        return gradient, scaled @ scaled.T + 0.5 * log_slopes @ log_slopes.T + np.diag(inverse)
+
+    def cost(self, log_parameters: np.ndarray) -> float:
+        """Negative log posterior but for a constant; infinite where the filter fails."""
+        found, variance = self.innovations(log_parameters)
+        prior = self.prior_var
+        off = (log_parameters - self.mean[PARAMETERS_AND_MASS])[prior > 0] ** 2 / prior[prior > 0]
+        value = 0.5 * float(np.sum(found**2 / variance + np.log(variance)) + np.sum(off))
+        return value if np.isfinite(value) else np.inf
+
+
+def maximize_posterior(problem: PosteriorProblem, log_parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """log alpha, log beta, log d, log m that are likeliest, and their standard deviations, (4,) each.
+
+    `log_parameters`: where to begin, (4,).
+    """
+    at, cost = log_parameters.copy(), problem.cost(log_parameters)
+    free = problem.prior_var > 0
+    information = np.eye(4)
+    for _ in range(ITERATIONS):
+        gradient, information = problem.compute_gradient_and_information(at)
+        step = np.zeros(4)
+        step[free] = -np.linalg.solve(information[np.ix_(free, free)], gradient[free])
+        step *= min(1.0, MAX_STEP / max(float(np.abs(step).max()), 1e-12))
+        while np.abs(step).max() > STEP_TOLERANCE and not problem.cost(at + step) < cost:
+            step *= 0.5
+        if np.abs(step).max() <= STEP_TOLERANCE:
+            break
+        at = at + step
+        cost = problem.cost(at)
+    return at, _compute_standard_deviations(information, free)
+
+
+def log_evidence(problem: PosteriorProblem, log_parameters: np.ndarray) -> float:
+    """Laplace's approximation of the log probability of the samples under the question's prior.
+
+    `log_parameters`: where to begin to look for the likeliest, (4,).
+    """
+    at, _ = maximize_posterior(problem, log_parameters)
+    _, information = problem.compute_gradient_and_information(at)
+    free = problem.prior_var > 0
+    _, log_det = np.linalg.slogdet(information[np.ix_(free, free)])
+    return -problem.cost(at) - 0.5 * log_det - 0.5 * float(np.sum(np.log(problem.prior_var[free])))
+
+
+def compute_cramer_rao_bound(information: np.ndarray) -> np.ndarray:
+    """The Bayesian Cramér-Rao bound (van Trees): least SD of log alpha, log beta, log d, and of log alpha + log beta.
+
+    `information`: of `Question.gradient` at the truth, the prior's included, (4, 4), averaged over many grasps. Noise
+    and guesses count as Gaussian ones of their variance.
+    """
+    free = np.diag(information) > 0
+    cov = np.zeros((4, 4))
+    cov[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    stiffness = cov[0, 0] + cov[1, 1] + 2 * cov[0, 1]
+    return np.sqrt(np.append(np.diag(cov)[:3], stiffness))
+
+
+def _compute_standard_deviations(information: np.ndarray, free: np.ndarray) -> np.ndarray:
+    sd = np.zeros(4)
+    sd[free] = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(free, free)])))
+    return sd
+
+
+@compiled
+def _innovations(mean, cov, samples, noise):
+    """Innovations and their variances, (n - 1,) each, of a filter whose parameters stay as they are."""
+    n = len(samples) - 1
+    found, variances = np.empty(n), np.empty(n)
+    step, rows, gain = np.empty((2, 4)), np.empty((2, STATE_COUNT)), np.empty(STATE_COUNT)
+    about = mean[PARAMETERS_AND_MASS].copy()
+    for i in range(n):
+        sample = samples[i + 1]
+        predict(mean, cov, about, samples[i], sample, noise, step, rows)
+        for j in range(LOG_ALPHA, LOG_MASS + 1):  # known parameters do not walk
+            cov[j, j] = 0.0
+        variances[i] = project_covariance(cov, sample[METRE_PER_VOLT], gain) + noise.displacement_var
+        found[i] = sample[DISPLACEMENT] - mean[X] - mean[OFFSET] - sample[METRE_PER_VOLT] * mean[STRAIN_NOISE]
+        mean += gain * (found[i] / variances[i])
+        cov -= gain.reshape(-1, 1) * gain / variances[i]
+    return found, variances

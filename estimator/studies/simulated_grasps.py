@@ -1,0 +1,72 @@
+"""Simulated grasps for the studies: specimen, sensors, calibration and conditioning as in a run, one grasp a call."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.drivers.source import RawBlock
+from acquisition.protocol_player import ProtocolPlayer
+from acquisition.signals.pipeline import ConditioningPipeline
+from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation, Specimen
+from config.schema import ConditioningSettings, GraspProtocol, TissueLibrary, Tool
+from estimator.constants import JAW_OPENING_SHARE, MIN_PEAK_BEFORE_OPENING_N
+
+FORCE_CONTACT_RISE_V = 0.02  # as the shipped tools without trusted touch sensors
+FORCE_MEAN_SAMPLES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class GraspCase:
+    """One grasp to simulate."""
+
+    tissue: str
+    seed: int
+    deviation: ModelDeviation = NO_DEVIATION
+    tissue_library: TissueLibrary | None = None  # where `tissue` is from, if not from the library
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedGrasp:
+    """A simulated grasp: conditioned samples of dtype SAMPLE, and what was held."""
+
+    samples: np.ndarray
+    specimen: Specimen
+
+
+def simulate_grasp(
+    tool: Tool, library: TissueLibrary, conditioning: ConditioningSettings, protocol: GraspProtocol, case: GraspCase
+) -> SimulatedGrasp:
+    """Play one cycle of `protocol` on the simulated grasper and condition what its sensors give."""
+    block = tool.board.block_samples
+    player = ProtocolPlayer(protocol, tool, 1)
+    commands: list[float] = []
+    while not player.done:
+        commands += [player.next_command(block)] * block
+    grasper = SimulatedGrasper(tool, case.tissue_library or library, case.tissue, case.seed, case.deviation)
+    strain_v, encoder_deg, touch_1_v, touch_2_v = np.array([grasper.step(command) for command in commands]).T
+    raw = RawBlock(0, 0, strain_v, encoder_deg, np.array(commands), touch_1_v, touch_2_v)
+    return SimulatedGrasp(ConditioningPipeline(tool, conditioning).process(raw).samples, grasper.specimen)
+
+
+def extract_contact_samples(grasp: SimulatedGrasp) -> np.ndarray:
+    """The samples from first contact until the jaws let go, as the estimator learns from them."""
+    samples = grasp.samples
+    held = np.flatnonzero(samples["contact_tick"] >= 0)
+    begin = int(np.searchsorted(samples["tick"], samples["contact_tick"][held[0]]))
+    samples = samples[begin : int(held[-1]) + 1]
+    felt_n = np.convolve(samples["jaw_force_n"], np.full(FORCE_MEAN_SAMPLES, 1 / FORCE_MEAN_SAMPLES), "valid")
+    peak_n = np.maximum.accumulate(felt_n)
+    released = np.flatnonzero((peak_n > MIN_PEAK_BEFORE_OPENING_N) & (felt_n < JAW_OPENING_SHARE * peak_n))
+    return samples[: int(released[0])] if len(released) else samples
+
+
+def with_noise(tool: Tool, strain_sd_v: float) -> Tool:
+    """The tool with another strain noise, known to the estimator."""
+    return tool.model_copy(update={"noise": tool.noise.model_copy(update={"strain_sd_v": strain_sd_v})})
+
+
+def without_touch(tool: Tool) -> Tool:
+    """The tool whose contact is found from force and motion alone, as on the rig of 2013."""
+    blind = {"touch_trusted": False, "force_rise_v": FORCE_CONTACT_RISE_V}
+    return tool.model_copy(update={"contact": tool.contact.model_copy(update=blind)})

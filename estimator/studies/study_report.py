@@ -1,0 +1,119 @@
+"""A study's outcome: figures with their floors, tables and plots, as one self-contained HTML page and as JSON."""
+
+import html
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+import plotly.io
+
+from estimator.studies.html_page import (
+    Markup,
+    Table,
+    format_value,
+    render_page,
+    render_paragraphs,
+    render_table,
+    to_json_value,
+)
+
+# Okabe and Ito's palette, as on the dashboard
+TISSUE_COLORS = {
+    "liver": "#d55e00",
+    "small_bowel": "#e69f00",
+    "bladder": "#0072b2",
+    "gallbladder": "#009e73",
+    "unknown": "#999999",
+}
+PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999", "#000000")
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFigure:
+    """One number of a study. `at_most` or `at_least` is the floor that it is to reach, if there is one."""
+
+    name: str
+    value: float | None
+    unit: str = ""
+    at_most: float | None = None
+    at_least: float | None = None
+    note: str = ""
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the floor is reached; None where there is none."""
+        if self.at_most is None and self.at_least is None:
+            return None
+        if self.value is None:
+            return False
+        return (self.at_most is None or self.value <= self.at_most) and (
+            self.at_least is None or self.value >= self.at_least
+        )
+
+    @property
+    def floor(self) -> str:
+        """The floor in words; empty where there is none."""
+        if self.at_most is not None:
+            return f"at most {self.at_most:g} {self.unit}".rstrip()
+        return "" if self.at_least is None else f"at least {self.at_least:g} {self.unit}".rstrip()
+
+
+@dataclass(slots=True)
+class StudyResult:
+    """What a study found, in the order in which it is to be read."""
+
+    name: str
+    title: str
+    settings: dict[str, Any]
+    explanation: str
+    figures: list[KeyFigure] = field(default_factory=list)
+    parts: list[Table | tuple[str, go.Figure]] = field(default_factory=list)
+
+    def to_document(self) -> dict[str, Any]:
+        """All figures and tables, ready for JSON: no NaN, no infinity."""
+        return {
+            "study": self.name,
+            "settings": to_json_value(self.settings),
+            "figures": [
+                {**to_json_value(asdict(figure)), "floor": figure.floor, "reached": figure.reached}
+                for figure in self.figures
+            ],
+            "tables": [to_json_value(asdict(part)) for part in self.parts if isinstance(part, Table)],
+        }
+
+    def write(self, folder: Path) -> tuple[Path, Path]:
+        """Write `study-NAME.html` and `study-NAME.json` into `folder`; returns both paths."""
+        folder.mkdir(parents=True, exist_ok=True)
+        page, data = folder / f"study-{self.name}.html", folder / f"study-{self.name}.json"
+        page.write_text(self.render_page(), encoding="utf-8")
+        data.write_text(json.dumps(self.to_document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        return page, data
+
+    def render_page(self) -> str:
+        """The report as one self-contained HTML page."""
+        bodies = [_render_figures_table(self.figures)]
+        first = True
+        for part in self.parts:
+            if isinstance(part, Table):
+                bodies.append(render_table(part))
+                continue
+            title, figure = part
+            figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 30, "b": 50}, height=420)
+            plot = plotly.io.to_html(figure, full_html=False, include_plotlyjs=first, config={"displaylogo": False})
+            bodies.append(f"<h2>{html.escape(title)}</h2>{plot}")
+            first = False
+        asked = ", ".join(f"{key} {format_value(value)}" for key, value in self.settings.items())
+        above = f'<p class="settings">{html.escape(asked)}</p>{render_paragraphs(self.explanation)}'
+        return render_page(self.title, above + "".join(bodies), kind="Graspwatch study")
+
+
+def _render_figures_table(figures: list[KeyFigure]) -> str:
+    words = {True: "reached", False: '<span class="missed">not reached</span>', None: ""}
+    content = [
+        [f.name, f"{format_value(f.value)} {f.unit}".rstrip(), f.floor, Markup(words[f.reached]), f.note]
+        for f in figures
+    ]
+    columns = ["Figure", "Measured", "To reach", "Reached?", "Note"]
+    return render_table(Table("Figures", columns, content))
