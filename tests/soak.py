@@ -197,7 +197,10 @@ class Soak:
         with Service("serve", "--tool", str(self._board.tool_file)) as service:
             for _ in range(STRIKES_A_SERVICE):
                 if time.monotonic() < until_s:
+                    known = len(self.violations)
                     self._strike(service)
+                    if len(self.violations) > known:
+                        print(_recent_log(service), file=sys.stderr, flush=True)
             self._judge_recordings(service)
             self.check(self._board.peak_force_n < LOWEST_N, f"the force came to {self._board.peak_force_n:.2f} N")
             begin_s = time.monotonic()
@@ -248,7 +251,13 @@ class Soak:
         state = service.finished(run["id"])["state"]
         is_fault = state == "failed"
         self.check(then is Then.EITHER or is_fault is (then is Then.FAULT), f"{name}: in the end the run is {state}")
-        until(lambda: service.ready() and set(service.conditions().values()) == {"running"}, 60.0)
+        try:
+            until(lambda: service.ready() and set(service.conditions().values()) == {"running"}, 60.0)
+        except AssertionError:
+            print(
+                f"{name}: {service.http.get('/api/health').text}\n{_recent_log(service)}", file=sys.stderr, flush=True
+            )
+            raise
         self.check(self._board.output_v == 0.0, f"{name}: the motor is driven afterwards")
         if is_fault:
             refused = service.http.post("/api/runs", json=GRASPS).status_code
@@ -280,6 +289,11 @@ class Soak:
                 timed = ("goes on", "")
             table.add_row(name, str(count), *timed)
         return table
+
+
+def _recent_log(service: Service) -> str:
+    """The last lines of the service's log, to explain a violation."""
+    return "\n".join((service.data / "logs" / "graspwatch.jsonl").read_text(encoding="utf-8").splitlines()[-25:])
 
 
 def main() -> None:
