@@ -1,1 +1,1 @@
-"""What browsers and programs ask: the application and its routes."""
+"""The HTTP and WebSocket interface: the application and its routes."""

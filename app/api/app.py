@@ -90,16 +90,16 @@ ROUTE_MODULES = (
     live,
 )
 ROUTERS = tuple(each.router for each in ROUTE_MODULES)
-MAX_WEBSOCKET_MESSAGE_BYTES = 65_536  # of a viewer
+MAX_WEBSOCKET_MESSAGE_BYTES = 65_536  # one message from a viewer
 SHUTDOWN_GRACE_S = 0.3
-"""At the end, for answers that are under way; a download that takes longer is cut."""
+"""Time at shutdown for responses under way; a longer download is cut off."""
 
 
 def create_app(plan: ServicePlan) -> FastAPI:
-    """The application for a plan; its workers live as long as it does.
+    """Create the application for a plan; its lifespan starts and stops the workers.
 
     Raises:
-        GraspwatchError: the index cannot be opened, or the file of people not be read.
+        GraspwatchError: the index cannot be opened, or the file of people cannot be read.
     """
     guard = Authenticator(plan)
     store = open_store_for_service(
@@ -111,7 +111,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
         station = app.state.station = ToolService(plan, store, app.state.about)
         app.state.calibration = CalibrationSession(plan, station)
         desk = StudyRunner(plan.studies_folder, lambda text, by: station.publish_event(text, by=by))
-        index = contextlib.aclosing(station.index_writer)  # closed last: whatever ends has something to tell
+        index = contextlib.aclosing(station.index_writer)  # closed last: the other parts write to it as they end
         films, reports, shelf = ReplayCacheStore(plan), ReportCache(plan), contextlib.aclosing(RecordingCatalog(plan))
         await station.start()
         recording_bin = contextlib.aclosing(RecordingBin(plan, station, films, reports))
@@ -167,7 +167,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
 
 
 async def serve_dashboard_page() -> FileResponse:
-    """Every page is the same document; it shows what its address says."""
+    """Return the dashboard's only HTML document; its script shows the page that the URL names."""
     return FileResponse(STATIC_FOLDER / "index.html", headers={"Cache-Control": "no-cache"})
 
 
@@ -177,7 +177,7 @@ async def serve_dashboard_missing() -> Response:
 
 async def _add_security_headers(request: Request, call_next: RequestResponseEndpoint) -> Response:
     response = await call_next(request)
-    documentation = request.scope["path"].startswith(DOCUMENTATION_PATHS)  # its pages carry a script of their own
+    documentation = request.scope["path"].startswith(DOCUMENTATION_PATHS)  # these pages contain an inline script
     policy = DOCUMENTATION_SECURITY_POLICY if documentation else CONTENT_SECURITY_POLICY
     response.headers.setdefault("Content-Security-Policy", policy)  # a route may have set a narrower one
     if request.scope["path"].startswith("/api/"):
@@ -187,16 +187,15 @@ async def _add_security_headers(request: Request, call_next: RequestResponseEndp
 
 
 def open_listener(host: str, port: int) -> socket.socket:
-    """A listening socket that gives up on readers that never read. An IPv6 address may stand in brackets.
+    """Open a listening socket that drops clients which never read. An IPv6 address may be in brackets.
 
     Raises:
-        ServiceError: the port is taken or the address is not this machine's.
+        ServiceError: the port is taken, or the address is not this machine's.
     """
     host = host.removeprefix("[").removesuffix("]")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(
-        family, socket.SOCK_STREAM, socket.IPPROTO_TCP
-    )  # unless TCP is named, asyncio lets Nagle wait
+    # asyncio disables Nagle's algorithm only on a socket whose protocol is explicitly TCP.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, TCP_USER_TIMEOUT_MS)
     try:
@@ -224,10 +223,10 @@ def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
         ssl_certfile=server.tls_cert,
         ssl_keyfile=server.tls_key,
         server_header=False,
-        log_config=None,  # its loggers' lines go where all others do
+        log_config=None,  # uvicorn logs through the service's handlers
         log_level="warning",
         access_log=False,
-        proxy_headers=False,  # who asks is whose address it is; what a proxy says of that is noted as said
+        proxy_headers=False,  # a client is its connection's address; the journal notes a proxy's claims as claims
         timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
     )
     logging.getLogger("uvicorn.error").addFilter(_is_no_refused_handshake)
@@ -237,7 +236,7 @@ def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
 
 
 class _Server(uvicorn.Server):
-    """Halts the tool before it waits for anybody's connection to end."""
+    """A uvicorn server that halts the tool before it waits for connections to end."""
 
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         super().__init__(config)
@@ -249,5 +248,5 @@ class _Server(uvicorn.Server):
 
 
 def _is_no_refused_handshake(record: logging.LogRecord) -> bool:
-    """uvicorn takes a WebSocket that was refused with an answer for a failure, and would say so for each of a flood."""
+    """Return False for uvicorn's error about a refused WebSocket: a flood of refusals would fill the log."""
     return "without completing handshake" not in record.getMessage()

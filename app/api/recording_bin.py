@@ -1,4 +1,4 @@
-"""Deleting recordings, bringing them back, and removing them for good: each with a line in the journal before it."""
+"""Deletion, restoration and permanent removal of recordings; the journal records each removal before it happens."""
 
 import asyncio
 import logging
@@ -15,14 +15,14 @@ from config.errors import GraspwatchError, ServiceError
 from config.service_plan import ServicePlan
 
 EXPIRY_CHECK_PERIOD_S = 3600.0
-MAX_RECORDS_QUERIED = 500  # deleted last; who deleted the others stands in the journal
+MAX_RECORDS_QUERIED = 500  # the newest deletions; the journal says who deleted older recordings
 JOURNAL_FAULT_TEXT = (
     "The journal cannot be written, and nothing is deleted without a line in it. Make room by other means."
 )
 
 
 class RecordingBin:
-    """One for a service; it removes what is older than the settings say, once an hour."""
+    """The service's bin of deleted recordings; once an hour it removes those older than `keep_deleted_days`."""
 
     def __init__(
         self,
@@ -42,9 +42,10 @@ class RecordingBin:
         tool_service.supervise_task(self._expiry_task)
 
     async def list_content(self) -> BinContent:
-        """
+        """List the deleted recordings, with who deleted each.
+
         Raises:
-            ServiceError: the index cannot be asked.
+            ServiceError: the index cannot be queried.
         """
         files = await asyncio.to_thread(self._bin_folder.list_files)
         index = self._tool_service.index_writer
@@ -66,10 +67,10 @@ class RecordingBin:
         )
 
     async def delete(self, path: Path, by: str) -> None:
-        """Move a recording that nobody uses into the bin, and let go of its film and its reports.
+        """Move a recording into the bin, and discard its replay cache and its reports; the caller checks for users.
 
         Raises:
-            ServiceError: it cannot be moved, or not be written down; it stays.
+            ServiceError: the recording cannot be moved, or the journal cannot be written; the recording stays.
         """
         async with self._bin_lock:
             journal, name, at = self._tool_service.journal, path.name, datetime.now(UTC)
@@ -97,11 +98,11 @@ class RecordingBin:
         return await asyncio.to_thread(self._bin_folder.find, entry)
 
     async def restore(self, file: BinnedFile, by: str) -> FileRecord:
-        """Move a recording back to where it was.
+        """Move a deleted recording back into the recordings folder, and return its record.
 
         Raises:
-            RefusedError: there is a recording of its name.
-            ServiceError: it cannot be moved, or the index not be asked.
+            RefusedError: a recording of the same name exists.
+            ServiceError: the recording cannot be moved, or the index cannot be queried.
         """
         async with self._bin_lock:
             index = self._tool_service.index_writer
@@ -120,10 +121,10 @@ class RecordingBin:
             return record
 
     async def empty(self, by: str) -> Emptied:
-        """Remove all that is in the bin, for good.
+        """Remove all recordings in the bin permanently.
 
         Raises:
-            ServiceError: something cannot be removed, or not be written down.
+            ServiceError: a recording cannot be removed, or the journal cannot be written.
         """
         async with self._bin_lock:
             emptied = await self._remove(await asyncio.to_thread(self._bin_folder.list_files), by)
@@ -146,7 +147,7 @@ class RecordingBin:
             await asyncio.sleep(EXPIRY_CHECK_PERIOD_S)
 
     async def _remove(self, files: list[BinnedFile], by: str | None) -> Emptied:
-        """`by` None: it was there for long enough."""
+        """Remove files permanently, after a journal line for each; `by` is None if they expired."""
         why = "" if by else f" after {self._keep_days:g} days"
         for file in files:
             text = f"Recording {file.name}, deleted {file.deleted_at_iso}, is being removed from the bin{why}"
@@ -161,14 +162,14 @@ class RecordingBin:
         return Emptied(removed=len(files), freed_bytes=sum(file.size_bytes for file in files))
 
     async def _find_file_record(self, path: Path) -> FileRecord:
-        """As the index knows it, else what the disk says."""
+        """Return the index's record of a recording, or one from the disk if the index has no current record."""
         index = self._tool_service.index_writer
         known = await index.query(index.store.get_file, path.name)
         return known if known and not known.deleted_at else await asyncio.to_thread(_stat_file_record, path)
 
 
 def _stat_file_record(path: Path) -> FileRecord:
-    """What the disk says of a recording that the index does not know."""
+    """Build the record of a recording from its file's name, size and modification time."""
     found = path.lstat()
     return FileRecord(
         name=path.name,

@@ -1,4 +1,4 @@
-"""Alarms that are on, their acknowledgement, and the journal."""
+"""Routes for current alarms, their acknowledgement, and the journal."""
 
 from http import HTTPStatus
 from typing import Annotated
@@ -16,7 +16,7 @@ router = APIRouter(prefix="/api", tags=["alarms"])
 
 @router.get("/alarms", dependencies=[require_role(Role.VIEWER)])
 async def alarms(request: Request) -> list[Alarm]:
-    """Alarms whose cause is there, and those that stay until somebody has acknowledged them."""
+    """List alarms whose cause is present, and latched alarms that were not acknowledged."""
     return get_tool_service(request).alarms.current_alarms()
 
 
@@ -29,7 +29,7 @@ async def alarms(request: Request) -> list[Alarm]:
     },
 )
 async def acknowledge(request: Request, alarm_id: str, body: AcknowledgeRequest) -> Alarm:
-    """Somebody has seen an alarm: it falls silent on every page, and stays in sight until its cause is gone."""
+    """Acknowledge an alarm. Every page silences it, and shows it until its cause is gone."""
     by = require_requester_name(request, body.by)
     try:
         return await get_tool_service(request).arming.acknowledge(alarm_id, body.priority, by)
@@ -40,5 +40,5 @@ async def acknowledge(request: Request, alarm_id: str, body: AcknowledgeRequest)
 
 @router.get("/journal", dependencies=[require_role(Role.VIEWER)])
 async def journal(request: Request, most: Annotated[int, Query(ge=1, le=2000)] = 200) -> list[JournalEntry]:
-    """What happened and who did it since the service started, newest first."""
+    """List what happened and who did it since the service started, newest first."""
     return get_tool_service(request).journal.newest_entries(most)

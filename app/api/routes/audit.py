@@ -1,4 +1,4 @@
-"""Whether the journal is as it was written, and its lines for others."""
+"""Routes to verify the journal and to export its lines."""
 
 from typing import Annotated
 
@@ -19,13 +19,17 @@ MEDIA_TYPES = {JournalFormat.CSV: "text/csv", JournalFormat.JSONL: "application/
 
 
 class ExportQuery(BaseModel):
-    """Null: any."""
+    """Filter and format of an export; a null filter matches every line."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     format: JournalFormat = JournalFormat.CSV
-    since: Annotated[AwareDatetime | None, Field(description="ISO 8601 with a zone; from then on")] = None
-    until: Annotated[AwareDatetime | None, Field(description="ISO 8601 with a zone; before then")] = None
+    since: Annotated[AwareDatetime | None, Field(description="ISO 8601 with a time zone; lines from this time on")] = (
+        None
+    )
+    until: Annotated[AwareDatetime | None, Field(description="ISO 8601 with a time zone; lines before this time")] = (
+        None
+    )
     by: SearchText | None = None
 
 
@@ -35,9 +39,9 @@ class ExportQuery(BaseModel):
     responses={503: {"description": "The index cannot be asked", **PROBLEM_RESPONSE}},
 )
 async def check(request: Request) -> JournalCheck:
-    """Whether any line was changed, removed, put in or moved: by the chain, and by what the index knows.
+    """Check by the hash chain and the index whether any line was changed, removed, inserted or moved.
 
-    `graspwatch audit verify` also asks the recordings. What was found is told again for five seconds.
+    `graspwatch audit verify` also checks the recordings. The result is cached for five seconds.
     """
     chain: JournalWatch = request.app.state.chain
     return await chain.check()
@@ -45,7 +49,7 @@ async def check(request: Request) -> JournalCheck:
 
 @router.get("/export", dependencies=[require_role(Role.ADMIN)], response_class=StreamingResponse)
 async def export_journal(request: Request, query: Annotated[ExportQuery, Query()]) -> StreamingResponse:
-    """The journal, oldest line first: a table, or the lines as they stand."""
+    """Return the journal, oldest line first, as CSV or as the original JSON lines."""
     lines = export_lines(
         get_tool_service(request).plan.data_folder, JournalFilter(query.since, query.until, query.by), query.format
     )

@@ -1,4 +1,4 @@
-"""The bin: which deleted recordings there are still, bringing one back, removing all for good."""
+"""Routes to list the bin, restore a recording from it, and empty it."""
 
 from http import HTTPStatus
 from typing import Annotated
@@ -12,7 +12,9 @@ from app.people.authorization import require_requester_name, require_role
 from config.errors import RefusedError
 
 router = APIRouter(prefix="/api/bin", tags=["recordings"])
-RequesterQuery = Annotated[PersonName | None, Query(description="Who does it; whoever is signed in may leave it out")]
+RequesterQuery = Annotated[
+    PersonName | None, Query(description="Name of the requester; a signed-in user may leave it out")
+]
 FORBIDDEN_RESPONSE = {403: {"description": "Not an admin", **PROBLEM_RESPONSE}}
 
 
@@ -20,7 +22,7 @@ FORBIDDEN_RESPONSE = {403: {"description": "Not an admin", **PROBLEM_RESPONSE}}
     "", dependencies=[require_role(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM_RESPONSE}}
 )
 async def content(request: Request) -> BinContent:
-    """Deleted recordings that can be restored. They take room until the bin is emptied."""
+    """List deleted recordings that can be restored. They take disk space until they expire or the bin is emptied."""
     return await _get_recording_bin(request).list_content()
 
 
@@ -35,7 +37,7 @@ async def content(request: Request) -> BinContent:
     },
 )
 async def restore(request: Request, entry: str, by: RequesterQuery = None) -> FileRecord:
-    """Bring a deleted recording back: only an admin may. The journal keeps who did it."""
+    """Restore a deleted recording; only an admin may. The journal records who did it."""
     by = require_requester_name(request, by)
     try:
         file = await _get_recording_bin(request).find(entry)
@@ -51,7 +53,7 @@ async def restore(request: Request, entry: str, by: RequesterQuery = None) -> Fi
     | {503: {"description": "It cannot be emptied, or not be written down", **PROBLEM_RESPONSE}},
 )
 async def empty(request: Request, by: RequesterQuery = None) -> Emptied:
-    """Remove all that is in the bin, for good: only an admin may. The journal keeps what and who did it."""
+    """Remove all recordings in the bin permanently; only an admin may. The journal records which, and who did it."""
     return await _get_recording_bin(request).empty(require_requester_name(request, by))
 
 

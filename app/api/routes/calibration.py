@@ -1,4 +1,4 @@
-"""Calibration of the tool, reading by reading."""
+"""Routes to calibrate the tool, one reading at a time."""
 
 from http import HTTPStatus
 from typing import Annotated
@@ -26,7 +26,7 @@ def _get_calibration_session(request: Request) -> CalibrationSession:
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
 async def calibration(request: Request) -> Calibration:
-    """The calibration under way, or the last one."""
+    """Return the calibration under way, or the last one."""
     return _get_calibration_session(request).state
 
 
@@ -37,7 +37,7 @@ async def calibration(request: Request) -> Calibration:
     responses=CONFLICT_RESPONSE | {503: {"description": "The new tool file could not be written", **PROBLEM_RESPONSE}},
 )
 async def begin(request: Request, body: Annotated[CalibrationRequest, Body()]) -> Calibration:
-    """Begin one. Nothing moves yet."""
+    """Begin a calibration. The tool does not move yet."""
     note_request(request, description=f"Begin calibration of {body.what}")
     check_has_tool(get_tool_service(request))
     acquire_control(request)
@@ -58,7 +58,7 @@ async def begin(request: Request, body: Annotated[CalibrationRequest, Body()]) -
     responses=CONFLICT_RESPONSE | {503: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
 )
 async def read(request: Request) -> Calibration:
-    """Take the next reading; answers when it is taken. For `stretch` and `geometry` the jaws close gently."""
+    """Take the next reading, and answer once it is taken. For `stretch` and `geometry` the jaws close gently."""
     note_request(request, description="Take a reading for a calibration")
     check_has_tool(get_tool_service(request))
     acquire_control(request)
@@ -73,7 +73,7 @@ async def read(request: Request) -> Calibration:
 
 @router.delete("", dependencies=[require_role(Role.OPERATOR)], responses=CONFLICT_RESPONSE)
 async def abandon(request: Request) -> Calibration:
-    """Forget the one under way. Nothing is written."""
+    """Discard the calibration under way. No tool file is written."""
     check_has_tool(get_tool_service(request))
     acquire_control(request)
     try:

@@ -1,4 +1,4 @@
-"""Control of the tool: who has it, taking it, taking it over, giving it back."""
+"""Routes for control of the tool: read, acquire, take over, release."""
 
 from http import HTTPStatus
 from typing import Annotated
@@ -16,10 +16,10 @@ NO_TOKENS_TEXT = "Without tokens nobody needs control. Make them with `graspwatc
 
 
 def acquire_control(request: Request, *, take_over: bool = False) -> None:
-    """Have whoever asks in control before he moves the tool. Without tokens nobody needs to be.
+    """Acquire the control lease for the caller. A service without tokens needs none.
 
     Raises:
-        ProblemError: somebody else has control.
+        ProblemError: another user has control.
     """
     who, station = get_user(request), _get_tool_service(request)
     if who is None or who.name is None:
@@ -36,7 +36,7 @@ def acquire_control(request: Request, *, take_over: bool = False) -> None:
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
 async def control(request: Request) -> ControlInfo:
-    """Who has control."""
+    """Return who has control."""
     lease = _get_tool_service(request).control_lease
     return ControlInfo(holder=lease.holder, expires_in_s=lease.expires_in_s)
 
@@ -47,7 +47,7 @@ async def control(request: Request) -> ControlInfo:
     responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
 async def take(request: Request, body: Annotated[ControlRequest, Body()]) -> ControlInfo:
-    """Take control, or keep it for longer. A start does the same; only this can take it over from somebody else."""
+    """Acquire or extend control. A start does so too, but only this request can take control over from another user."""
     _require_user_name(request)
     acquire_control(request, take_over=body.take_over)
     return await control(request)
@@ -59,7 +59,7 @@ async def take(request: Request, body: Annotated[ControlRequest, Body()]) -> Con
     responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
 async def give_back(request: Request) -> ControlInfo:
-    """Give control back. Who does not have it changes nothing, unless somebody else does."""
+    """Release control. It is refused if another user has control, and changes nothing if nobody has."""
     name, station = _require_user_name(request), _get_tool_service(request)
     if not station.release_control(name) and station.control_lease.holder:
         raise ProblemError(
@@ -69,7 +69,7 @@ async def give_back(request: Request) -> ControlInfo:
 
 
 def _require_user_name(request: Request) -> str:
-    """The name of whoever asks."""
+    """Return the user's name; raises `ProblemError` if the service has no tokens, and so no names."""
     who = get_user(request)
     if who is None or who.name is None:
         raise ProblemError(HTTPStatus.CONFLICT, NO_TOKENS_TEXT)

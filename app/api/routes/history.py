@@ -1,4 +1,4 @@
-"""What has happened, also before this service: grasps, alarms, audit and files, from the index."""
+"""Routes that query the index, which covers earlier services too: grasps, alarms, journal lines and recordings."""
 
 from typing import Annotated, TypeVar
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 @router.get("/grasps", dependencies=[require_role(Role.VIEWER)])
 async def grasps(request: Request, response: Response, query: Annotated[GraspQuery, Query()]) -> list[GraspEnded]:
-    """Grasps of all runs, newest first."""
+    """List the grasps of all runs, newest first by default."""
     found = await get_tool_service(request).index_writer.query(
         get_tool_service(request).index_writer.store.find_grasps, query
     )
@@ -27,7 +27,7 @@ async def grasps(request: Request, response: Response, query: Annotated[GraspQue
 
 @router.get("/alarms/history", dependencies=[require_role(Role.VIEWER)])
 async def alarms(request: Request, response: Response, query: Annotated[AlarmQuery, Query()]) -> list[Alarm]:
-    """Alarms that were on or are, each as it was last, newest first."""
+    """List present and past alarms, each in its last state, newest first by default."""
     found = await get_tool_service(request).index_writer.query(
         get_tool_service(request).index_writer.store.find_alarms, query
     )
@@ -36,7 +36,7 @@ async def alarms(request: Request, response: Response, query: Annotated[AlarmQue
 
 @router.get("/audit", dependencies=[require_role(Role.VIEWER)])
 async def audit(request: Request, response: Response, query: Annotated[AuditQuery, Query()]) -> list[JournalEntry]:
-    """Every line of the journal, newest first: what happened and who did it."""
+    """List the lines of the journal, newest first by default: what happened and who did it."""
     found = await get_tool_service(request).index_writer.query(
         get_tool_service(request).index_writer.store.find_audit_entries, query
     )
@@ -45,7 +45,7 @@ async def audit(request: Request, response: Response, query: Annotated[AuditQuer
 
 @router.get("/files", dependencies=[require_role(Role.VIEWER)])
 async def files(request: Request, response: Response, query: Annotated[FileQuery, Query()]) -> list[FileRecord]:
-    """Recordings of runs, newest first, also deleted ones with who deleted them."""
+    """List the recordings of runs, newest first by default; deleted ones say who deleted them."""
     found = await get_tool_service(request).index_writer.query(
         get_tool_service(request).index_writer.store.find_files, query
     )

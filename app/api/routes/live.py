@@ -1,4 +1,4 @@
-"""The live stream."""
+"""The WebSocket of the live stream."""
 
 from fastapi import APIRouter, WebSocket
 
@@ -11,7 +11,7 @@ router = APIRouter()
 
 @router.websocket("/api/live", dependencies=[require_role(Role.VIEWER)])
 async def live(socket: WebSocket) -> None:
-    """Hello, the last seconds, then everything as it happens; see app/messages/wire.py."""
+    """Send a `Hello`, the last seconds of samples, then everything as it happens; see app/messages/wire.py."""
     station: ToolService = socket.app.state.station
     await socket.accept()
     if len(station.viewer_hub.viewers) >= station.plan.settings.server.max_viewers:

@@ -1,4 +1,4 @@
-"""Recordings: the list, the files, and replays."""
+"""Routes to list, download, delete, report on and replay recordings."""
 
 from datetime import datetime
 from functools import partial
@@ -34,7 +34,7 @@ WAITING_PAGE_POLICY = (
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
 async def recordings(request: Request, response: Response, query: Annotated[RecordingQuery, Query()]) -> Recordings:
-    """What can be replayed. Durations are null until the file has been read: ask again in a second."""
+    """List recordings that can be replayed. A duration is null until its file has been read: ask again in a second."""
     shelf: RecordingCatalog = request.app.state.shelf
     listing = await shelf.list_recordings()
     found = [recording for recording in listing.recordings if _matches(recording, query)]
@@ -63,7 +63,7 @@ def _matches(recording: RecordingInfo, query: RecordingQuery) -> bool:
     },
 )
 async def file(request: Request, name: str) -> FileResponse:
-    """The recording as it is on the disk, or a part of it (`Range`, `If-Range`)."""
+    """Return the recording's file, or a part of it (`Range`, `If-Range`)."""
     return FileResponse(await _find_path(request, name), media_type="application/octet-stream", filename=name)
 
 
@@ -89,10 +89,14 @@ async def _find_path(request: Request, name: str) -> Path:
 async def delete(
     request: Request,
     name: str,
-    by: Annotated[PersonName | None, Query(description="Who deletes it; whoever is signed in may leave it out")] = None,
+    by: Annotated[
+        PersonName | None, Query(description="Name of the requester; a signed-in user may leave it out")
+    ] = None,
 ) -> None:
-    """Delete a recording: only an admin may. It lies in the bin for a while, from where it can be restored; the journal
-    and the index keep who did it."""
+    """Move a recording into the bin; only an admin may. It can be restored until it expires.
+
+    The journal and the index record who deleted it.
+    """
     by = require_requester_name(request, by)
     path = await _find_path(request, name)
     _check_not_in_use(request, path)
@@ -128,9 +132,9 @@ def _check_not_in_use(request: Request, path: Path) -> None:
     },
 )
 async def report(request: Request, name: str) -> Response:
-    """The recording's report. It is made when it is first asked for, which takes a second for half a minute of it.
+    """Return the recording's report. The first request makes it, which takes a second per half minute of recording.
 
-    Ask again until the answer is no more 202; a browser gets a page that does so.
+    Repeat the request while the status is 202; a browser gets a page that does so.
     """
     reports: ReportCache = request.app.state.reports
     path = await _find_path(request, name)
@@ -156,7 +160,7 @@ async def report(request: Request, name: str) -> Response:
 
 @router.websocket("/{name}/replay", dependencies=[require_role(Role.VIEWER)])
 async def replay(socket: WebSocket, name: str) -> None:
-    """The recording as it would have been seen live, with pause, seek and speed; see app/messages/wire.py."""
+    """Stream a recording as if it were live, with pause, seek and speed; see app/messages/wire.py."""
     station: ToolService = socket.app.state.station
     films: ReplayCacheStore = socket.app.state.films
     shelf: RecordingCatalog = socket.app.state.shelf

@@ -1,4 +1,4 @@
-"""Runs: start, stop, look up."""
+"""Routes to start, stop and look up runs, and to arm and disarm the tool."""
 
 import asyncio
 import contextlib
@@ -70,10 +70,10 @@ async def start_run(request: Request, body: Annotated[RunRequest, Body()]) -> Ru
 
 
 def _unmeasured_scale_reason(request: Request, reason: str | None) -> str:
-    """Why a tool may be armed whose force scale is not measured; empty where nobody says so or it needs no reason.
+    """Return why a tool with an unmeasured force scale may be armed; empty if no reason is given or needed.
 
     Raises:
-        ProblemError: somebody gives a reason who is no admin.
+        ProblemError: the requester gives a reason, but is no admin.
     """
     if reason is None or get_tool_service(request).plan.tool.has_known_scale:
         return ""
@@ -85,7 +85,7 @@ def _unmeasured_scale_reason(request: Request, reason: str | None) -> str:
 
 
 async def _end_demo_and_check_idle(tool_service: ToolService) -> None:
-    """A person ends the demonstration by starting a run; any other run under way, or a tool not ready, refuses one."""
+    """End a demonstration that is under way, then refuse the start unless the tool is idle."""
     current = tool_service.runs.current
     if current and tool_service.demo_text:
         await tool_service.stop_run("the demonstration was ended by a run")
@@ -117,7 +117,7 @@ def _check_tissue(tool_service: ToolService, tissue: str | None) -> None:
     responses={409: {"description": "It cannot be armed", **PROBLEM_RESPONSE}},
 )
 async def arm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
-    """Tare the tool and test it at rest, so that it may move. A start does so itself, unless the settings forbid it."""
+    """Tare the tool and test it at rest, so that it may move. A start arms it too, unless the settings forbid that."""
     station = get_tool_service(request)
     check_has_tool(station)
     body = body or ArmRequest()
@@ -133,7 +133,7 @@ async def arm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
     responses={409: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
 )
 async def disarm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
-    """Motor to zero, and nothing starts before the tool is armed again; a run under way is stopped."""
+    """Set the motor to zero and forbid motion until the tool is armed again. A run under way is stopped."""
     station = get_tool_service(request)
     check_has_tool(station)
     acquire_control(request)
@@ -142,9 +142,10 @@ async def disarm(request: Request, body: ArmRequest | None = None) -> SafetyRepo
 
 
 def check_has_tool(tool_service: ToolService) -> None:
-    """
+    """Check that the service has a tool.
+
     Raises:
-        ProblemError: there is none.
+        ProblemError: the service only shows recordings.
     """
     if tool_service.plan.opened_recordings:
         raise ProblemError(HTTPStatus.CONFLICT, "This service only shows recordings: there is no tool to run.")
@@ -154,7 +155,7 @@ def check_has_tool(tool_service: ToolService) -> None:
     "/runs", dependencies=[require_role(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM_RESPONSE}}
 )
 async def list_runs(request: Request, response: Response, query: Annotated[RunQuery, Query()]) -> list[Run]:
-    """Runs of this service and earlier ones, oldest first; how many there are on all is in `X-Total-Count`."""
+    """List runs of this service and earlier ones, oldest first by default; `X-Total-Count` gives their total number."""
     station = get_tool_service(request)
     found = await station.index_writer.query(station.index_writer.store.find_runs, query)
     set_paging_headers(request, response, query.limit, query.offset, found.total)
@@ -163,7 +164,7 @@ async def list_runs(request: Request, response: Response, query: Annotated[RunQu
 
 @router.get("/runs/{run_id}", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
 async def get_run(request: Request, run_id: str) -> Run:
-    """One run."""
+    """Return one run."""
     station = get_tool_service(request)
     run = station.runs.get(run_id) or await station.index_writer.query(station.index_writer.store.get_run, run_id)
     if run is None:
@@ -173,7 +174,7 @@ async def get_run(request: Request, run_id: str) -> Run:
 
 @router.get("/runs/{run_id}/grasps", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
 async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
-    """The finished grasps of a run."""
+    """List the finished grasps of a run."""
     await get_run(request, run_id)
     station = get_tool_service(request)
     if station.runs.get(run_id):
@@ -182,7 +183,7 @@ async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
 
 
 async def _read_requester_name(request: Request) -> str | None:
-    """Whom the body names, if it names anybody and comes at all."""
+    """Return the name of the signed-in user, else the name in the body, if a valid body arrives in time."""
     said = None
     with contextlib.suppress(TimeoutError, ValidationError, HTTPException, ClientDisconnect):
         async with asyncio.timeout(STOP_BODY_TIMEOUT_S):
@@ -197,7 +198,7 @@ async def _read_requester_name(request: Request) -> str | None:
     openapi_extra=STOP_OPENAPI_BODY,
 )
 async def stop_run(request: Request, run_id: str) -> StopAnswer:
-    """Stop this run: motor to zero at once. Stopping a run that is over changes nothing."""
+    """Stop this run: the motor goes to zero at once. Stopping a run that has ended changes nothing."""
     current = get_tool_service(request).runs.current
     if current is None or current.id != run_id:
         await _read_requester_name(request)  # for the journal
@@ -212,12 +213,12 @@ async def stop_run(request: Request, run_id: str) -> StopAnswer:
     openapi_extra=STOP_OPENAPI_BODY,
 )
 async def stop(request: Request) -> StopAnswer:
-    """Motor to zero at once, whatever runs. Always allowed, also when nothing runs."""
+    """Set the motor to zero at once. This is always allowed, also when no run is under way."""
     return await _stop_motor(request)
 
 
 async def _stop_motor(request: Request) -> StopAnswer:
-    """The motor first; then whatever stands in the request is read."""
+    """Stop the motor before reading the body of the request."""
     station = get_tool_service(request)
     station.demo_text = None
     before = station.runs.current

@@ -1,4 +1,4 @@
-"""Signing in and out of a browser."""
+"""Routes to sign a browser in and out."""
 
 from http import HTTPStatus
 from typing import Annotated
@@ -20,7 +20,7 @@ NO_TOKENS_TEXT = (
 
 @router.get("", dependencies=[PUBLIC_ROUTE])
 async def session(request: Request) -> SessionInfo:
-    """Who asks, and whether signing in is needed."""
+    """Return who is signed in, and whether signing in is needed."""
     return _build_session_info(_get_authenticator(request), get_user(request))
 
 
@@ -34,7 +34,7 @@ async def session(request: Request) -> SessionInfo:
     },
 )
 async def sign_in(request: Request, response: Response, body: Annotated[SignIn, Body()]) -> SessionInfo:
-    """Exchange a token for a cookie. Programs do not need one: they send the token with each request."""
+    """Exchange a token for a session cookie. Programs need no cookie: they send the token with each request."""
     guard = _get_authenticator(request)
     if not guard.token_store.requires_token:
         raise ProblemError(HTTPStatus.CONFLICT, NO_TOKENS_TEXT)
@@ -49,13 +49,13 @@ async def sign_in(request: Request, response: Response, body: Annotated[SignIn, 
 
 @router.delete("", status_code=HTTPStatus.NO_CONTENT, dependencies=[PUBLIC_ROUTE])
 async def sign_out(request: Request, response: Response) -> None:
-    """End this browser's session, with all that it has open."""
+    """End this browser's session and close its open connections."""
     _end_browser_session(request)
     response.delete_cookie(session_cookie_name(request), httponly=True, samesite="strict")
 
 
 def _end_browser_session(request: Request) -> None:
-    """The session that the request came with, if any."""
+    """End the session of the request's cookie, if it has one."""
     guard, who = _get_authenticator(request), get_user(request)
     if who and who.session_hash:
         guard.browser_sessions.end(who.session_hash)

@@ -1,4 +1,4 @@
-"""Studies: start, stop, look up, read the report."""
+"""Routes to start, stop and look up studies, and to read their reports."""
 
 from http import HTTPStatus
 from pathlib import Path
@@ -20,7 +20,7 @@ from estimator.studies.html_page import CONTENT_SECURITY_POLICY
 router = APIRouter(prefix="/api/studies", tags=["studies"])
 STUDY_NOT_FOUND_RESPONSE = {404: {"description": "No such study, or nothing to show yet", **PROBLEM_RESPONSE}}
 
-# The sandbox makes the page a stranger to the dashboard, so that it could not stop a tool.
+# The sandbox gives the page its own origin, so that its script cannot command the tool as the signed-in user.
 REPORT_POLICY = f"{CONTENT_SECURITY_POLICY}; sandbox allow-scripts allow-downloads"
 
 
@@ -30,7 +30,7 @@ def get_study_runner(request: Request) -> StudyRunner:
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
 async def list_studies(request: Request) -> Studies:
-    """What can be studied, and what has been, newest first."""
+    """List the available studies, and the studies that were started, newest first."""
     desk = get_study_runner(request)
     available = [
         StudyInfo(name=entry.name, title=entry.title, grasps=entry.default_count, most_grasps=entry.max_count)
@@ -50,7 +50,7 @@ async def list_studies(request: Request) -> Studies:
     },
 )
 async def start_study(request: Request, body: Annotated[StudyRequest, Body()]) -> StudyRun:
-    """Start a study. It leaves one core to a live tool, and gives way to it on the others."""
+    """Start a study. It leaves one core free, and runs on the others with a lower priority than a live tool."""
     note_request(request, description=f"Start study {body.study}, seed {body.seed}")
     entry = _find_study(body.study)
     grasps = body.grasps or entry.default_count
@@ -74,7 +74,7 @@ def _find_study(name: str) -> StudyDefinition:
 
 @router.get("/{study_id}", dependencies=[require_role(Role.VIEWER)], responses=STUDY_NOT_FOUND_RESPONSE)
 async def get_study(request: Request, study_id: str) -> StudyRun:
-    """One study, with how far it is."""
+    """Return one study with its progress."""
     run = get_study_runner(request).get(study_id)
     if run is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no study {study_id!r}. GET /api/studies lists them.")
@@ -83,7 +83,7 @@ async def get_study(request: Request, study_id: str) -> StudyRun:
 
 @router.post("/{study_id}/stop", dependencies=[require_role(Role.OPERATOR)], responses=STUDY_NOT_FOUND_RESPONSE)
 async def stop_study(request: Request, study_id: str, body: StopRequest | None = None) -> StudyRun:
-    """Stop this study. Stopping one that is over changes nothing."""
+    """Stop this study. Stopping a study that has ended changes nothing."""
     run = await get_study(request, study_id)
     return await get_study_runner(request).stop(
         run.id, "asked to stop", requester_name(request, body.by if body else None)
@@ -97,7 +97,7 @@ async def stop_study(request: Request, study_id: str, body: StopRequest | None =
     responses=STUDY_NOT_FOUND_RESPONSE,
 )
 async def report(request: Request, study_id: str) -> FileResponse:
-    """Its page, self-contained."""
+    """Return the study's report as a self-contained HTML page."""
     path = await _find_result_file(request, study_id, "html")
     return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
@@ -109,7 +109,7 @@ async def report(request: Request, study_id: str) -> FileResponse:
     responses=STUDY_NOT_FOUND_RESPONSE,
 )
 async def figures(request: Request, study_id: str) -> FileResponse:
-    """Every figure and table of its page as JSON."""
+    """Return every figure and table of the study's report as JSON."""
     return FileResponse(await _find_result_file(request, study_id, "json"), media_type="application/json")
 
 

@@ -1,4 +1,4 @@
-"""What runs here: versions, machine, configuration."""
+"""The route that describes the service: versions, machine, configuration."""
 
 import os
 import platform
@@ -31,7 +31,7 @@ VERSIONED_PACKAGES = (
 
 @router.get("/system", dependencies=[require_role(Role.VIEWER)])
 async def system(request: Request) -> System:
-    """Versions, machine, workers, and the configuration in use (read-only)."""
+    """Return versions, machine, workers, and the configuration in use (read-only)."""
     station = get_tool_service(request)
     plan = station.plan
     return System(

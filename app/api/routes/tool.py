@@ -1,4 +1,4 @@
-"""What there is: the tool, its protocols, the tissue library, the service's health and metrics."""
+"""Routes for the tool, its protocols, the tissue library, and the service's health and metrics."""
 
 import functools
 
@@ -26,7 +26,7 @@ MAX_PREVIEW_POINTS = 200
     responses={503: {"model": Health, "description": "Starting, or faulted"}},
 )
 async def health(request: Request, response: Response) -> Health:
-    """Ready once the filters are compiled and samples arrive."""
+    """Return the service's health: ready once the filters are compiled and samples arrive."""
     station = get_tool_service(request)
     workers = station.worker_conditions()
     phase = station.phase
@@ -47,13 +47,13 @@ async def health(request: Request, response: Response) -> Health:
 
 @router.get("/api/tool", dependencies=[require_role(Role.VIEWER)])
 async def tool(request: Request) -> ToolInfo:
-    """The tool in use."""
+    """Return the tool in use."""
     return build_tool_info(get_tool_service(request).plan.tool)
 
 
 @router.get("/api/protocols", dependencies=[require_role(Role.VIEWER)], response_model=list[ProtocolInfo])
 async def protocols(request: Request) -> Response:
-    """The protocols, the shortest first, each with its waveform for a preview."""
+    """List the protocols, shortest cycle first, each with its waveform for a preview."""
     return Response(
         _build_previews(get_tool_service(request).plan.tool, read_modification_times("protocols")),
         media_type="application/json",
@@ -62,7 +62,7 @@ async def protocols(request: Request) -> Response:
 
 @functools.lru_cache(maxsize=2)
 def _build_previews(tool: Tool, stamp_ns: tuple[int, ...]) -> bytes:
-    """Worked out once for the files as they are: a storm of requests must not hold up a STOP."""
+    """Build the previews as JSON, cached until a file changes: many requests must not delay a STOP."""
     result = [_build_preview(load_protocol(name), tool) for name in list_shipped_names("protocols")]
     result.sort(key=lambda protocol: (protocol.cycle_s, protocol.name))
     return TypeAdapter(list[ProtocolInfo]).dump_json(result)
@@ -89,11 +89,11 @@ def _build_preview(protocol: GraspProtocol, tool: Tool) -> ProtocolInfo:
 
 @router.get("/api/tissues", dependencies=[require_role(Role.VIEWER)])
 async def tissues(request: Request) -> LibraryInfo:
-    """The tissue library in use."""
+    """Return the tissue library in use."""
     return build_library_info(get_tool_service(request).plan)
 
 
 @router.get("/metrics", dependencies=[require_role(Role.VIEWER)], include_in_schema=False)
 async def metrics(request: Request) -> Response:
-    """Prometheus metrics."""
+    """Return Prometheus metrics."""
     return Response(get_tool_service(request).render_metrics(), media_type="text/plain; version=0.0.4; charset=utf-8")
