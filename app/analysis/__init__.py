@@ -1,1 +1,1 @@
-"""What recordings, studies and calibrations say afterwards."""
+"""Reports, learned libraries, studies, calibrations, and runs without a service."""

@@ -1,4 +1,4 @@
-"""Calibrations guided from the dashboard: readings come from the live samples, motion is a run like any other."""
+"""Calibrations guided from the dashboard: readings come from the live samples, and motion is an ordinary run."""
 
 import asyncio
 import getpass
@@ -34,11 +34,13 @@ NO_CALIBRATION = Calibration(what=None, values=[], readings=[], reading=False, p
 
 
 class CalibrationSession:
-    """At most one calibration at a time; what it has read is kept until another one begins."""
+    """The service's calibration, one at a time; `state` stays until another one begins or it is discarded."""
 
     def __init__(self, plan: ServicePlan, tool_service: ToolService) -> None:
         self._plan, self._tool_service = plan, tool_service
-        self._tool_source = plan.tool_source or plan.tool.name  # each builds on the one before
+        self._tool_source = (
+            plan.tool_source or plan.tool.name
+        )  # each calibration builds on the tool file of the one before
         self._collected_blocks: list[SampleBlock] | None = None
         self._block_arrived = asyncio.Event()
         self._request: CalibrationRequest | None = None
@@ -52,10 +54,10 @@ class CalibrationSession:
             self._block_arrived.set()
 
     def begin(self, request: CalibrationRequest) -> None:
-        """Forget what was, and wait for the first reading.
+        """Replace the last calibration, and wait for the first reading.
 
         Raises:
-            CalibrationError: the weights or gauges tell nothing.
+            CalibrationError: there are too few weights or gauges, or impossible ones.
             RefusedError: a reading is under way.
             ConfigurationError: the tool file could not be written.
         """
@@ -83,17 +85,17 @@ class CalibrationSession:
             raise RefusedError("A reading is under way. Wait for it, or press STOP.")
 
     async def take_reading(self, by: str | None) -> None:
-        """Take the next reading; after the last one, fit, and write the tool file.
+        """Take the next reading; after the last one, fit the constants and write the tool file.
 
         Raises:
-            RefusedError: nothing was begun, all is read, or the tool may not move now.
-            ServiceError: the acquisition does not answer, or no samples come.
-            CalibrationError: the reading cannot be trusted: it may be repeated.
+            RefusedError: no calibration was begun, all readings are taken, or the tool may not move now.
+            ServiceError: the acquisition does not answer, or no samples arrive.
+            CalibrationError: the reading cannot be trusted and may be repeated, or the fit cannot be trusted.
         """
         self._check_idle()
         if self._request is None or len(self._readings) == len(self.state.values):
             raise RefusedError("Nothing is left to read: begin a calibration.")
-        if self._tool_service.runs.current:  # known before the first of its blocks has come
+        if self._tool_service.runs.current:  # known before its first block arrives
             raise RefusedError("A run is under way. Stop it first.")
         what, value = self._request.what, self.state.values[len(self._readings)]
         self._update_state(reading=True, problem=None)
@@ -128,7 +130,9 @@ class CalibrationSession:
         return load_tool(self._tool_source)
 
     async def _measure_at_rest(self, what: CalibrationKind, value: float, by: str | None) -> RawSignals:
-        if self._tool_service.arming.safety is Safety.ARMED:  # a weight would be a fault of its gage
+        if (
+            self._tool_service.arming.safety is Safety.ARMED
+        ):  # an armed tool would take the weight for a fault of its gage
             await self._tool_service.arming.disarm(by)
         await self._set_simulated_load(value if what is CalibrationKind.STRAIN else 0.0, None)
         try:
@@ -165,17 +169,17 @@ class CalibrationSession:
             await self._set_simulated_load(0.0, None)
             arming = self._tool_service.arming
             if arming.safety is Safety.ARMED and arming.unmeasured_scale_reason == CALIBRATION_ARM_REASON:
-                await arming.disarm(by)  # it was armed for this alone
+                await arming.disarm(by)  # it was armed for this reading alone
         played = readings.extract_signals([block for block in taken if block.run == run.id])
         return readings.extract_passes(played, self._load_newest_tool())
 
     async def _set_simulated_load(self, pull_n: float, gauge_m: float | None) -> None:
-        """What a person does at a real tool."""
+        """Load the simulated tool as a person loads a real one: a pull on the handle, or a gauge block in the jaws."""
         if self._plan.tool.kind is ToolKind.SIMULATED:
             await self._tool_service.set_simulated_load(bus.SimulatedLoadCommand(pull_n, gauge_m))
 
     async def _finish(self, by: str | None) -> None:
-        """Fit, and write, in a thread: the first fit of a service loads what it needs. What is refused is told."""
+        """Fit in a thread, as the first fit loads slow modules, then write the tool file; a failure sets `problem`."""
         asked, tool = self._request, self._load_newest_tool()
         person = asked.person or by or getpass.getuser()
         try:
@@ -193,7 +197,7 @@ class CalibrationSession:
 
     @property
     def _unmeasured_scale_reason(self) -> str:
-        """Why the tool may move without a measured force scale, where it has none."""
+        """Why the tool may move without a measured force scale; empty if it has one."""
         return "" if self._plan.tool.has_known_scale else CALIBRATION_ARM_REASON
 
     @property

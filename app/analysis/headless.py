@@ -26,7 +26,7 @@ Progress = Callable[[float], None]
 
 @dataclass(slots=True)
 class RunSummary:
-    """What `--json` prints. SI units; None where there is no value."""
+    """The result of a run or replay, which `--json` prints. SI units; None where there is no value."""
 
     source: str
     library: str
@@ -34,10 +34,10 @@ class RunSummary:
     samples: int = 0
     lost_samples: int = 0
     grasps: list[GraspRecord] = field(default_factory=list)
-    releases: list[str] = field(default_factory=list)  # what is told of each grasp that the limiter let go
-    force_scale: str = ""  # by which scale forces are told, for people
-    failure: str | None = None  # why a run ended before its protocol
-    comparison: EstimateComparison | None = None  # of a replay with what was recorded
+    releases: list[str] = field(default_factory=list)  # a message for each grasp that the limiter released
+    force_scale: str = ""  # the tool's force scale in words
+    failure: str | None = None  # why a run ended before its protocol did
+    comparison: EstimateComparison | None = None  # of a replay's estimates with the recorded ones
 
     def document(self) -> dict[str, Any]:
         document = {
@@ -69,10 +69,12 @@ def run_protocol(
     recording_path: Path | None,
     progress: Progress,
 ) -> RunSummary:
-    """Play a protocol on the simulated grasper and identify what it grasps; `record` is the file to write, if any.
+    """Play a protocol on the simulated grasper and identify what it grasps.
+
+    Writes an MCAP file if `recording_path` is given; `progress` receives the seconds played.
 
     Raises:
-        RefusedError: the protocol passes the tool's limits.
+        RefusedError: the protocol exceeds the tool's limits.
         ToolError: the board failed.
         RecordingError: the file exists, or cannot be written.
     """
@@ -120,12 +122,12 @@ def run_protocol(
 
 
 def replay_recording(recording: RecordingSource, recording_context: RecordingContext, progress: Progress) -> RunSummary:
-    """Take a recording through calibration, conditioning, estimation and identification.
+    """Process a recording anew: calibration, conditioning, estimation and identification.
 
-    Of a recorded run nothing but the run itself is taken, and its estimates are compared with those recorded.
+    Of an MCAP file, samples before the run are skipped, and the estimates are compared with the recorded ones.
 
     Raises:
-        RecordingError: the file is damaged; names the place.
+        RecordingError: the file is damaged; the text names the place.
     """
     tool, library, settings = recording_context.tool, recording_context.library, recording_context.settings
     report = RunSummary(str(recording.path), library.name, tool.board.sample_rate_hz, force_scale=tool.scale_text)

@@ -1,4 +1,4 @@
-"""Studies that the service carries out, one at a time, and those that it and earlier services have carried out."""
+"""The service's studies: the one under way, and those that it and earlier services carried out."""
 
 import asyncio
 import logging
@@ -22,16 +22,16 @@ logger = logging.getLogger("graspwatch")
 
 
 class StudyRunner:
-    """Each study has a folder of its id, with its record, its page and its JSON. As a context it ends what runs."""
+    """Runs one study at a time, each in a folder named by its id; leaving the context stops the study under way."""
 
     def __init__(self, folder: Path, publish_event: Callable[[str, str | None], None]) -> None:
-        """`tell(text, by)` hears what starts and ends; `by`: who asked for it."""
+        """`publish_event(text, by)` is called when a study starts or ends; `by` is the requester, if known."""
         self.folder = folder
         self._publish_event = publish_event
         self._runs = _read_records(folder)
         self._task: asyncio.Task[None] | None = None
         self._current_id: str | None = None
-        self._stop_request: tuple[str, str | None] | None = None  # why, by whom
+        self._stop_request: tuple[str, str | None] | None = None  # reason and requester
 
     async def __aenter__(self) -> Self:
         return self
@@ -41,21 +41,21 @@ class StudyRunner:
             await self.stop(self._current_id, "the service was ended")
 
     def list_runs(self) -> list[StudyRun]:
-        """Newest first."""
+        """Return all studies, newest first."""
         return list(reversed(self._runs.values()))
 
     def get(self, study_id: str) -> StudyRun | None:
         return self._runs.get(study_id)
 
     def result_path(self, run: StudyRun, ending: str) -> Path:
-        """Where its page (`html`) or its figures (`json`) are once it has finished."""
+        """Return the path of a finished study's page (`html`) or figures (`json`)."""
         return self.folder / run.id / f"study-{run.study}.{ending}"
 
     def start(self, entry: StudyDefinition, grasps: int, seed: int, by: str | None) -> StudyRun:
         """Start a study.
 
         Raises:
-            RefusedError: one is under way.
+            RefusedError: another study is under way.
             ServiceError: the folder cannot be written.
         """
         if self._current_id:
@@ -75,12 +75,12 @@ class StudyRunner:
         return run
 
     async def stop(self, study_id: str, why: str, by: str | None = None) -> StudyRun:
-        """End a study and all its processes; one that is over stays as it is."""
+        """Stop a study and all its processes; a study that has ended stays as it is."""
         if study_id == self._current_id and self._task:
             self._stop_request = why, by
             self._task.cancel()
             await asyncio.wait([self._task])
-            await asyncio.sleep(0)  # for `_on_end`
+            await asyncio.sleep(0)  # lets `_on_end` run
         return self._runs[study_id]
 
     def _create_run(self, entry: StudyDefinition, grasps: int, seed: int, by: str | None) -> StudyRun:
@@ -104,12 +104,12 @@ class StudyRunner:
         try:
             _write_record(self.folder, run)
         except OSError:
-            shutil.rmtree(self.folder / study_id, ignore_errors=True)  # it never was
+            shutil.rmtree(self.folder / study_id, ignore_errors=True)  # without a record it is no study
             raise
         return run
 
     def _make_folder(self, name: str) -> str:
-        """Make a folder that was not there; a second study of the same second gets a number."""
+        """Make a new folder and return its name; a second study in the same second gets a number."""
         study_id, number = name, 1
         while True:
             try:
@@ -148,7 +148,6 @@ class StudyRunner:
 
 
 def _write_record(folder: Path, run: StudyRun) -> None:
-    """Whole or not at all."""
     path = folder / run.id / RECORD_FILE
     part = path.with_suffix(".part")
     part.write_text(run.model_dump_json(indent=2) + "\n", encoding="utf-8")
@@ -156,7 +155,7 @@ def _write_record(folder: Path, run: StudyRun) -> None:
 
 
 def _read_records(folder: Path) -> dict[str, StudyRun]:
-    """What earlier services left, oldest first. What cannot be read is left out, and the log says so."""
+    """Read the studies of earlier services, oldest first; a study that cannot be read is left out and logged."""
     runs = []
     for path in folder.iterdir() if folder.is_dir() else ():
         if not path.is_dir():
@@ -181,24 +180,24 @@ def _mark_interrupted(run: StudyRun) -> StudyRun:
     return run.model_copy(update={"state": StudyState.FAILED, "why": why})
 
 
-# --- in the process -----------------------------------------------------------------------------------------------
+# --- in the background process ------------------------------------------------------------------------------------
 
 
 def run_study(send: SendMessage, study: str, grasps: int, seed: int, folder: Path) -> None:
-    """Carry out a study on all cores but one, and write its page and its JSON into `folder`; tells (done, of).
+    """Carry out a study on all cores but one, and write its page and its JSON into `folder`; sends (done, of).
 
     Raises:
-        GraspwatchError: it failed.
+        GraspwatchError: the study failed.
         OSError: the folder cannot be written.
     """
-    from estimator.studies.answer_course import StudyConditions  # takes a second
+    from estimator.studies.answer_course import StudyConditions  # a slow import
 
     jobs = max((os.cpu_count() or 1) - 1, 1)
     STUDIES[study].run(StudyConditions(), grasps, seed, _ProgressSender(send), jobs).write(folder)
 
 
 class _ProgressSender:
-    """Tells the service, ten times a second at most, so that cases are not slowed down by it."""
+    """A progress callback that sends at most ten times a second, so that sending does not slow the study down."""
 
     def __init__(self, send: SendMessage) -> None:
         self._send = send

@@ -1,1 +1,1 @@
-"""`graspwatch learn`: from labelled recordings to a tissue library."""
+"""`graspwatch learn`: a tissue library from labeled recordings."""

@@ -1,4 +1,4 @@
-"""Labelled recordings, grasp by grasp: the one place where `graspwatch learn` reads them."""
+"""Reads labeled recordings for `graspwatch learn`, grasp by grasp."""
 
 import hashlib
 from collections.abc import Callable
@@ -20,10 +20,10 @@ Progress = Callable[[float], None]
 
 
 def recording_sha256(path: Path) -> str:
-    """SHA-256 of a file's content, hexadecimal; of an imported one, of the file that it was imported from.
+    """Return the hexadecimal SHA-256 of a file's content; of an imported recording, that of the file it came from.
 
     Raises:
-        RecordingError: it is missing or cannot be read.
+        RecordingError: the file is missing or cannot be read.
     """
     if is_mcap(path) and (imported := McapFile(path).metadata.get("imported_sha256")):
         return imported
@@ -38,10 +38,10 @@ def recording_sha256(path: Path) -> str:
 def read_grasps(
     label: str, path: Path, tool: Tool, settings: Settings, guess: np.ndarray, progress: Progress
 ) -> LabeledRecording:
-    """A recording's grasps, each with its parameters, searched from `guess` (log alpha, log beta, log d).
+    """Read a recording's grasps, and fit the parameters of each from `guess` (log alpha, log beta, log d).
 
     Raises:
-        RecordingError: the file cannot be read; names file and line.
+        RecordingError: the file cannot be read; the text names file and line.
     """
     sha256 = recording_sha256(path)
     samples = _read_samples(path, tool, settings, progress)
@@ -54,7 +54,7 @@ def read_grasps(
 
 
 def _read_samples(path: Path, tool: Tool, settings: Settings, progress: Progress) -> np.ndarray:
-    """A whole recording, calibrated and segmented, dtype SAMPLE."""
+    """Read a whole recording, calibrated and segmented, as (n,) of `SAMPLE_DTYPE`."""
     recording = RecordingSource(path, tool)
     if recording.tool.calibration_fingerprint != tool.calibration_fingerprint:
         raise RecordingError(

@@ -1,4 +1,4 @@
-"""The report beside a learned library: confusion, calibration, how early, and what was learned from."""
+"""The report of a learned library: confusion, reliability, time to decision, and training recordings."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,7 @@ library with that recording in it is as bad.
 def build_report(
     name: str, library: TissueLibrary, answers: Sequence[ValidationAnswer], settings: dict[str, str]
 ) -> StudyResult:
-    """The study of a library's answers."""
+    """Build the report from the answers of a cross-validation."""
     study = StudyResult(name, f"Learned library: {name.replace('_', ' ')}", settings, EXPLANATION)
     questions = list(dict.fromkeys(answer.question for answer in answers))
     for question in questions:

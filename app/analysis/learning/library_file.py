@@ -1,4 +1,4 @@
-"""Files that are either written as a whole or not at all."""
+"""Atomic writing of library and report files."""
 
 import contextlib
 import os
@@ -12,7 +12,7 @@ from config.schema import TissueLibrary
 
 
 def check_writable(path: Path) -> None:
-    """Try, before the work begins, whether a file can be written there.
+    """Check, before the work begins, that a library file can be written at `path`.
 
     Raises:
         ConfigurationError: it cannot; the text says why.
@@ -31,15 +31,15 @@ def check_writable(path: Path) -> None:
 
 
 def library_to_toml(library: TissueLibrary) -> str:
-    """A library as its file has it."""
+    """Convert a library to the TOML text of its file."""
     return tomli_w.dumps(library.model_dump(mode="json", exclude_none=True))
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write a text file beside its place and move it there: nobody ever finds half of it.
+    """Write a text file whole or not at all, through a temporary file in the same folder.
 
     Raises:
-        ConfigurationError: it cannot be written.
+        ConfigurationError: the file cannot be written.
     """
     unfinished: str | None = None
     try:

@@ -1,4 +1,4 @@
-"""Reads labelled recordings, and refuses what no library can be learned from."""
+"""Reads labeled recordings, and refuses those from which no library can be learned."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class TrainingSet:
-    """What there is to learn from."""
+    """Labeled recordings with their loading curves; `peak_v` is the grasps' usual peak command, V."""
 
     recordings: list[LabeledRecording]
     curves: list[LoadingCurves]
@@ -38,11 +38,11 @@ def load_training_set(
     min_grasps: int,
     progress: Progress,
 ) -> TrainingSet:
-    """Every grasp of the labelled files.
+    """Read every grasp of the labeled files.
 
     Raises:
         RecordingError: a file cannot be read, or was recorded with another tool.
-        ConfigurationError: a recording under two labels, or too few grasps of some tissue.
+        ConfigurationError: a recording has two labels, or a tissue has too few grasps.
     """
     unique, remarks = _remove_duplicates(files)
     guess, total = compute_initial_guess(base), sum(map(len, unique.values()))
@@ -63,7 +63,7 @@ def load_training_set(
 
 
 def _remove_duplicates(files: dict[str, list[Path]]) -> tuple[dict[str, list[Path]], list[str]]:
-    """Each recording once, whatever its names; a recording of two tissues is none."""
+    """Keep each recording once, by its content; refuse one with two labels."""
     seen: dict[str, tuple[str, Path]] = {}
     unique: dict[str, list[Path]] = {}
     remarks = []
@@ -85,7 +85,7 @@ def _remove_duplicates(files: dict[str, list[Path]]) -> tuple[dict[str, list[Pat
 
 
 def _check_rest_voltage(recording: LabeledRecording, path: Path, tool: Tool) -> None:
-    """A strain gage that rests elsewhere belongs to another tool, or to this one before it was calibrated."""
+    """Refuse a recording whose strain gage rests at another voltage: another tool or calibration recorded it."""
     calibration = tool.calibration
     lowest = [float(np.percentile(grasp.samples["strain_v"], 2)) for grasp in recording.grasps if len(grasp.samples)]
     off_v = float(np.median(lowest)) - calibration.rest_offset_v if lowest else 0.0
@@ -99,7 +99,7 @@ def _check_rest_voltage(recording: LabeledRecording, path: Path, tool: Tool) -> 
 
 
 def _check_grasp_counts(recordings: list[LabeledRecording], curves: list[LoadingCurves], min_grasps: int) -> None:
-    """Refuse, saying of each tissue what is missing and why grasps did not count."""
+    """Refuse tissues with too few grasps; the text says how many are missing and why others did not count."""
     missing = []
     for label in dict.fromkeys(each.label for each in recordings):
         own = [each for each in curves if each.recording.label == label]

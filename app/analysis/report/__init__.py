@@ -1,1 +1,1 @@
-"""A recording's report: what happened, what was found, and what a set of grasps says of the tissues."""
+"""Reports of recordings: courses over time, verdicts, warnings, and statistics of the tissues."""

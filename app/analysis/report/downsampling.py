@@ -1,4 +1,4 @@
-"""Long signals thinned for a page: each point pair is the least and the greatest of the samples it stands for."""
+"""Downsampling of long signals: each pair of points is the minimum and the maximum of its samples."""
 
 import base64
 from dataclasses import dataclass
@@ -6,21 +6,21 @@ from math import ceil
 
 import numpy as np
 
-PACKED_NAN = 65535  # of a packed channel
+PACKED_NAN = 65535  # stands for NaN in a packed channel
 PACKED_MAX = PACKED_NAN - 1
 
 
 @dataclass(frozen=True, slots=True)
 class TimeGrid:
-    """Where the points of a page's trace lie in time."""
+    """The points in time of a downsampled signal."""
 
     start_tick: int
     span_ticks: int  # from the first sample to the last
-    samples_per_pair: int  # samples that a pair of points stands for; 1: each sample is a point
+    samples_per_pair: int  # 1: each sample is a point
 
     @classmethod
     def from_ticks(cls, ticks: np.ndarray, max_points: int) -> "TimeGrid":
-        """For samples at rising `ticks`, with at most so many points, two at least."""
+        """Make a grid for samples at rising `ticks`, with at most `max_points` points (two or more)."""
         if not len(ticks):
             return cls(0, 0, 1)
         span = int(ticks[-1] - ticks[0]) + 1
@@ -36,14 +36,14 @@ class TimeGrid:
         return self.span_ticks if self.samples_per_pair == 1 else 2 * ceil(self.span_ticks / self.samples_per_pair)
 
     def point_ticks(self) -> np.ndarray:
-        """Ticks of the points, (points,)."""
+        """Return the ticks of the points, (points,)."""
         return (
             self.start_tick
             + (np.arange(self.point_count) + (0.0 if self.samples_per_pair == 1 else 0.5)) * self.step_ticks
         )
 
     def downsample(self, ticks: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """`values` (n,) at `ticks` (n,) as (points,): pairs of least and greatest, in the order in which they lead on.
+        """Downsample `values` (n,) at `ticks` (n,) to (points,): pairs of minimum and maximum, in their rough order.
 
         NaN where no sample has a value.
         """
@@ -64,7 +64,7 @@ class TimeGrid:
 
 
 def pack_values(values: np.ndarray) -> tuple[str, float, float]:
-    """Values as 16-bit steps between their least and their greatest, base64, with these two; NaN is `NO_VALUE`."""
+    """Pack values as 16-bit steps in base64, with their minimum and maximum; NaN becomes `PACKED_NAN`."""
     sound = np.isfinite(values)
     if not sound.any():
         low, span = 0.0, 0.0

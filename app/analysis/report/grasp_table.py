@@ -1,4 +1,4 @@
-"""The table of all grasps: what each was called, how sure and how soon, its parameters and its warnings."""
+"""The table of all grasps: verdict, probability, time to decision, parameters and warnings."""
 
 import html
 
@@ -33,7 +33,7 @@ TEXT_COLUMNS = {"force", "start, s", "verdict", "probability", "warnings", "rema
 
 
 def render_grasp_table(report: Report, drawn_count: int) -> str:
-    """As HTML; the first `drawn` grasps have a button that draws them."""
+    """Render the table as HTML; the first `drawn_count` grasps have a button that draws them."""
     parts, number = [], 0
     for story in report.recordings:
         own = [(record, observation) for told_by, record, observation in report.grasps if told_by is story]
@@ -95,7 +95,7 @@ def _render_verdict(tissue_style: TissueStyle) -> Markup:
 
 
 def _format_percent(share: float | None) -> str | None:
-    """Never all or nothing unless it is."""
+    """Format a share so that one below 1 is never rounded to 100 %."""
     if share is None:
         return None
     return "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"

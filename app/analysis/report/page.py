@@ -19,7 +19,7 @@ PAGE_KIND = "Graspwatch report"
 
 
 def render_report_page(report: Report, progress: Progress) -> str:
-    """The whole page."""
+    """Render a report as one self-contained HTML page; `progress` receives the share done."""
     data = build_plot_data(report, progress)
     body = "".join(
         [
@@ -159,7 +159,7 @@ def _render_statistics(report: Report) -> str:
 
 
 def _render_tukey_notes(report: Report) -> str:
-    """What Tukey's test could not do, in a sentence each."""
+    """Render a sentence for each reason why Tukey's test left something out."""
     said: list[str] = []
     for one in report.statistics.tukey.values():
         said += [one.skip_reason] if one.skip_reason else []
@@ -180,7 +180,7 @@ def _render_excluded_grasps(report: Report) -> str:
 
 
 def _format_ranges(numbers: list[int]) -> str:
-    """Rising numbers in words: 1 to 3, 5."""
+    """Format rising numbers as ranges, such as 1 to 3, 5."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][-1] + 1:

@@ -1,4 +1,4 @@
-"""What the page's script draws: courses and grasps, packed, and figures as they are; within a page's size."""
+"""The data that the page's script draws: packed time plots and whole figures, within a limit of size."""
 
 from typing import Any
 
@@ -18,16 +18,16 @@ from app.analysis.report.report import READING_SHARE, Progress, Report
 from app.analysis.report.stress_strain import build_curve, draw_grasp_curve, draw_library_curves
 from estimator.studies.html_page import to_json_value
 
-MAX_TIME_PLOTS = 24  # recordings; the grasps of more are shown one by one only
-MAX_GRASP_PLOTS = 1000  # more are in the table only
-MAX_TIME_PLOT_BYTES, MAX_GRASP_PLOT_BYTES = 2_500_000, 4_000_000  # of all courses together, and of all grasps' own
+MAX_TIME_PLOTS = 24  # if there are more recordings, only their grasps are plotted, one by one
+MAX_GRASP_PLOTS = 1000  # further grasps are in the table only
+MAX_TIME_PLOT_BYTES, MAX_GRASP_PLOT_BYTES = 2_500_000, 4_000_000  # of all recordings together, and of all grasps
 MAX_TIME_PLOT_POINTS, MAX_GRASP_PLOT_POINTS, MIN_POINTS = 3000, 2000, 80
 BYTES_PER_POINT = 8 / 3  # 16 bits in base64
-MAX_CURVES = 60  # in the plot of all grasps
+MAX_CURVES = 60  # in the stress plot of all grasps
 
 
 def build_plot_data(report: Report, progress: Progress) -> dict[str, Any]:
-    """Ready for JSON; `viewer.js` knows the names."""
+    """Build the data, ready for JSON, under the names that `viewer.js` reads."""
     library, looks = report.library, report.tissue_styles
     lines = build_plot_lines(library, looks)
     figures = {"references": figure_to_json(draw_library_curves(library, looks))}
@@ -88,7 +88,7 @@ def _build_curve_overview(report: Report) -> dict[str, Any]:
 
 
 def curve_stride(grasps: int) -> int:
-    """Which share of so many grasps is drawn together: one in this number."""
+    """Return n such that every n-th grasp is drawn in the stress plot of all grasps."""
     return max(1, -(-grasps // MAX_CURVES))
 
 

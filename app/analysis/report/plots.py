@@ -1,4 +1,4 @@
-"""The report's plots: courses over time, stress over strain, and box plots of the parameters."""
+"""The report's plots over time, and its box plots of the parameters."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -30,28 +30,26 @@ AXIS_HEIGHTS = {
     "β, 1/m": 0.8,
     "d, kg/s": 0.8,
 }
-VERDICT_ROW, FORCE_ROW, DISPLACEMENT_ROW, PROBABILITY_ROW, ALPHA_ROW = 1, 2, 3, 4, 5  # rows of a course
+VERDICT_ROW, FORCE_ROW, DISPLACEMENT_ROW, PROBABILITY_ROW, ALPHA_ROW = 1, 2, 3, 4, 5  # rows of a time plot
 PLOT_HEIGHT_PX = 700
-AXIS_RANGE_FACTOR = (
-    10.0  # times the library's parameters: where an axis ends, since filters that are wrong run far away
-)
+AXIS_RANGE_FACTOR = 10.0  # parameter axes end at this multiple of the library's values: wrong filters run far away
 LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "font": {"size": 12}}
 
 
 @dataclass(frozen=True, slots=True)
 class PlotLine:
-    """One line of a course: in which row, how it looks, and how it comes from a story's traces."""
+    """One line of a time plot: its row, its look, and how to extract its values from the traces."""
 
     name: str
     row: int
     extract: Callable[[np.ndarray], np.ndarray]
     line: dict[str, Any]
-    legend_group: str | None = None  # of the legend
+    legend_group: str | None = None  # a tissue's name
     logarithmic: bool = False
 
 
 def build_plot_lines(library: TissueLibrary, tissue_styles: dict[str, TissueStyle]) -> list[PlotLine]:
-    """Force, displacement, probabilities and the parameters of every filter."""
+    """Return the lines of force, displacement, probabilities, and the parameters of every filter."""
 
     def column(name: str, scale: float = 1.0) -> Callable[[np.ndarray], np.ndarray]:
         return lambda traces: scale * traces[name]
@@ -85,7 +83,7 @@ def build_plot_lines(library: TissueLibrary, tissue_styles: dict[str, TissueStyl
 def build_time_plot_template(
     library: TissueLibrary, tissue_styles: dict[str, TissueStyle], plot_lines: list[PlotLine]
 ) -> dict[str, Any]:
-    """The figure of a course without its data, as JSON; dotted lines are the library's own parameters."""
+    """Build a time plot without its data, as JSON; dotted lines are the library's own parameters."""
     figure = make_subplots(
         len(AXIS_HEIGHTS), 1, shared_xaxes=True, vertical_spacing=0.025, row_heights=[*AXIS_HEIGHTS.values()]
     )
@@ -130,7 +128,7 @@ def build_time_plot(
     max_points: int,
     marks: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """A stretch of a story for the template: packed channels, and `marks`, which are traces of their own."""
+    """Build the data of one time plot: packed channels, and `marks`, which are Plotly traces to add."""
     grid = TimeGrid.from_ticks(traces["tick"], max_points)
     packed = []
     for line in plot_lines:
@@ -149,7 +147,7 @@ def build_time_plot(
 
 
 def build_verdict_bars(grasps: Iterable[GraspRecord], tissue_styles: dict[str, TissueStyle]) -> list[dict[str, Any]]:
-    """A bar for each grasp, with the colour and the letters of its verdict."""
+    """Build a bar for each grasp, with the color and the letters of its verdict."""
     bars = []
     for name, look in tissue_styles.items():
         own = [grasp for grasp in grasps if grasp.label == name]
@@ -177,7 +175,7 @@ def build_verdict_bars(grasps: Iterable[GraspRecord], tissue_styles: dict[str, T
 
 
 def build_alarm_markers(alarms: list[ForceAlarm], rate_hz: float) -> list[dict[str, Any]]:
-    """A triangle on the force where a warning began."""
+    """Build a triangle on the force for each warning."""
     told = [alarm for alarm in alarms if alarm.priority]
     if not told:
         return []
@@ -206,7 +204,7 @@ def build_alarm_markers(alarms: list[ForceAlarm], rate_hz: float) -> list[dict[s
 def build_box_plots(
     statistics: Statistics, library: TissueLibrary, tissue_styles: dict[str, TissueStyle]
 ) -> dict[str, Any]:
-    """Fig. 8: alpha, beta and d of every grasp, by group; a diamond is the library's own value."""
+    """Build Fig. 8: alpha, beta and d of every grasp, by group; a diamond is the library's own value."""
     figure = make_subplots(1, 3, subplot_titles=("α, N", "β, 1/m", "d, kg/s"), horizontal_spacing=0.08)
     for k, parameter in enumerate(PARAMETERS.values()):
         for name, logs in statistics.log_parameters.items():
@@ -240,6 +238,6 @@ def build_box_plots(
 
 
 def figure_to_json(figure: go.Figure) -> dict[str, Any]:
-    """A figure as JSON, in the look of the report."""
+    """Convert a figure to JSON, in the style of the report."""
     figure.update_layout(template="plotly_white", margin={"l": 62, "r": 14, "t": 40, "b": 46}, autosize=True)
     return json.loads(plotly.io.to_json(figure, validate=False))

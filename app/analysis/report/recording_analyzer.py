@@ -1,4 +1,4 @@
-"""What a report knows of one recording: its signals, estimates, grasps and alarms, and where they come from."""
+"""Analysis of one recording for a report: its signals, estimates, grasps, alarms and origin."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ from estimator.online_estimator import TissueEstimator
 
 Progress = Callable[[float], None]  # share done
 
-# Single precision and what a report draws: an hour at 1 kHz then takes a third of a gigabyte.
+# Only what a report draws, in single precision: an hour at 1 kHz then takes a third of a gigabyte.
 SIGNALS = (
     "jaw_force_n",
     "jaw_force_filtered_n",
@@ -40,7 +40,7 @@ ESTIMATES = (
 
 
 def make_trace_dtype(tissues: int) -> np.dtype:
-    """One sample of a story with its estimates by K filters; names and units as in SAMPLE and `estimate_dtype`."""
+    """Return the dtype of one sample with its estimates; names and units as in `SAMPLE_DTYPE` and `estimate_dtype`."""
     single = {"probability_unknown", "threshold_n"}
     signals = [(name, "f4") for name in SIGNALS]
     estimates = [(name, "f4") if name in single else (name, "f4", (tissues,)) for name in ESTIMATES]
@@ -49,7 +49,7 @@ def make_trace_dtype(tissues: int) -> np.dtype:
 
 @dataclass(frozen=True, slots=True)
 class AnalyzedRecording:
-    """Everything a report needs of one recording. `traces`: (n,) of `trace_dtype`, ticks rising, gaps left out."""
+    """One recording's results for a report. `traces`: (n,) of `make_trace_dtype`, ticks rising, gaps left out."""
 
     title: str
     tool: Tool
@@ -60,9 +60,9 @@ class AnalyzedRecording:
     alarms: tuple[ForceAlarm, ...] = ()
     withdrawals: tuple[LabelWithdrawal, ...] = ()
     thickness_m: dict[int, float] = field(default_factory=dict)  # measured at contact, by grasp
-    jaw_closure_tick: dict[int, int] = field(default_factory=dict)  # where the jaws were shut, by grasp
+    jaw_closure_tick: dict[int, int] = field(default_factory=dict)  # at which the jaws shut, by grasp
     lost_samples: int = 0
-    tissue: str | None = None  # what was held, if the recording tells it
+    tissue: str | None = None  # held, if the recording states it
     facts: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -74,18 +74,18 @@ class AnalyzedRecording:
         return (len(self.traces) + self.lost_samples) / self.rate_hz
 
     def grasp_traces(self, grasp: GraspRecord) -> np.ndarray:
-        """The traces of one grasp, a view."""
+        """Return the traces of one grasp, as a view."""
         first, last = (round(at_s * self.rate_hz) for at_s in (grasp.start_s, grasp.end_s))
         begin, end = np.searchsorted(self.traces["tick"], [first, last])
         return self.traces[begin:end]
 
     def traces_before_jaw_closure(self, grasp: GraspRecord) -> np.ndarray:
-        """The traces of one grasp until its jaws were shut: what is steel from there on is no tissue."""
+        """Return the traces of one grasp until its jaws shut; later forces are of steel on steel, not of tissue."""
         rows, shut_tick = self.grasp_traces(grasp), self.jaw_closure_tick.get(grasp.index)
         return rows if shut_tick is None else rows[: np.searchsorted(rows["tick"], shut_tick)]
 
     def grasp_alarms(self, grasp: GraspRecord) -> list[ForceAlarm]:
-        """The warnings of a grasp, the highest of each rise of the force."""
+        """Return a grasp's warnings: for each rise of the force the one that came nearest to its threshold."""
         rises: list[ForceAlarm] = []
         rising = False
         for alarm in self.alarms:
@@ -101,7 +101,7 @@ class AnalyzedRecording:
         return rises
 
     def force_errors_n(self, grasp: GraspRecord) -> dict[str, tuple[float, float] | None]:
-        """Of each filter: the lowest and the highest error of its force within a grasp (estimated less measured), N."""
+        """Return each filter's lowest and highest force error within a grasp (estimated less measured), N."""
         rows = self.traces_before_jaw_closure(grasp)
         errors = rows["force_n"] - rows["jaw_force_n"][:, None]
         return {name: _finite_range(errors[:, k]) for k, name in enumerate(self.library.tissues)}
@@ -113,10 +113,10 @@ def _finite_range(errors_n: np.ndarray) -> tuple[float, float] | None:
 
 
 def open_recorded_run(path: Path, tool: Tool) -> RecordingSource:
-    """A recording to be taken as fast as it goes, of a recorded run the run alone; `tool` made LabVIEW's.
+    """Open a recording unthrottled, skipping samples before the run; `tool` is the tool of a LabVIEW recording.
 
     Raises:
-        RecordingError: the file cannot be read; names file and line.
+        RecordingError: the file cannot be read; the text names file and line.
     """
     recording = RecordingSource(path, tool)
     recording.skip_to_run()
@@ -126,7 +126,7 @@ def open_recorded_run(path: Path, tool: Tool) -> RecordingSource:
 def analyze_recording(
     recording: RecordingSource, title: str, library: TissueLibrary, settings: Settings, progress: Progress
 ) -> AnalyzedRecording:
-    """Take a recording through calibration, conditioning, estimation and identification, and keep what is found."""
+    """Process a recording by conditioning, estimation and identification, and collect the results."""
     tool = recording.tool
     teller = RecordingAnalyzer(title, tool, library, settings, recording.sample_count)
     pipeline = ConditioningPipeline(tool, settings.conditioning)
@@ -139,7 +139,7 @@ def analyze_recording(
 
 
 def _collect_facts(path: Path, about: dict[str, str]) -> dict[str, Any]:
-    """`about`: what a recorded run says of itself."""
+    """`about`: the metadata of a recorded run."""
     found = path.stat()
     changed = datetime.fromtimestamp(found.st_mtime, UTC).isoformat(sep=" ", timespec="seconds")
     facts = {"file": path.name, "size": f"{found.st_size / 1e6:.2f} MB", "last changed": changed}
@@ -148,7 +148,7 @@ def _collect_facts(path: Path, about: dict[str, str]) -> dict[str, Any]:
 
 
 class RecordingAnalyzer:
-    """Estimates a source's blocks in their order and puts them together as a story."""
+    """Estimates a recording's blocks in their order and collects the results."""
 
     def __init__(self, title: str, tool: Tool, library: TissueLibrary, settings: Settings, max_samples: int) -> None:
         self._title, self._tool, self._library, self._settings = title, tool, library, settings
@@ -162,7 +162,7 @@ class RecordingAnalyzer:
         self._jaw_closure_tick: dict[int, int] = {}
 
     def process(self, block: SampleBlock) -> EstimateBlock:
-        """The next block; returns what the estimator makes of it."""
+        """Process the next block, and return its estimates."""
         estimate = self._session.process(block)
         rows = self._traces[self.rows : self.rows + len(block.samples)]
         rows["tick"] = block.samples["tick"]
@@ -183,7 +183,7 @@ class RecordingAnalyzer:
         return estimate
 
     def finish(self, *, tissue: str | None = None, facts: dict[str, Any] | None = None) -> AnalyzedRecording:
-        """The story so far, with the grasp that its end cut short."""
+        """Return the results so far, including a grasp that the end of the recording cuts short."""
         if last := self._session.finish():
             self._grasps.append(last)
         return AnalyzedRecording(

@@ -1,4 +1,4 @@
-"""A report of one recording or of many: read, compared, and written as a page and as JSON."""
+"""A report of one or several recordings, and its JSON document."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -23,12 +23,12 @@ from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_block import GraspRecord
 from estimator.studies.html_page import to_json_value
 
-READING_SHARE = 0.85  # of the time that a report takes; the rest is for the page
+READING_SHARE = 0.85  # of the time that a report takes; rendering the page takes the rest
 
 
 @dataclass(frozen=True)
 class Report:
-    """Stories in the order in which they are to be read; `labels`: what was held, by a story's title."""
+    """Recordings in reading order; `labels` gives the tissue that was held, by a recording's title."""
 
     title: str
     recordings: tuple[AnalyzedRecording, ...]
@@ -40,7 +40,7 @@ class Report:
 
     @cached_property
     def grasps(self) -> list[tuple[AnalyzedRecording, GraspRecord, Observation]]:
-        """All grasps, with what the statistics make of each."""
+        """All grasps, each with its recording and its observation for the statistics."""
         return [
             (story, record, self._build_observation(story, record))
             for story in self.recordings
@@ -61,7 +61,7 @@ class Report:
         return Observation(recording.title, record, label or recording.tissue, told, recording.force_errors_n(record))
 
     def document(self) -> dict[str, Any]:
-        """Every figure of the page, ready for JSON: SI units, None where there is no value."""
+        """Return every figure of the page, ready for JSON: SI units, None where there is no value."""
         found = self.statistics
         return {
             "report": self.title,
@@ -121,7 +121,7 @@ class Report:
 
 
 def collect_versions() -> dict[str, str]:
-    """Of what a report's figures depend on."""
+    """Return the versions of the packages on which a report's figures depend."""
     return {
         "graspwatch": __version__,
         "numpy": np.__version__,
@@ -138,10 +138,10 @@ def read_report(
     labels: Mapping[Path, str],
     progress: Progress,
 ) -> Report:
-    """Open all recordings, then take them through the estimator, one after the other; `tool` made LabVIEW's.
+    """Open all recordings, then analyze them one after the other; `tool` is the tool of LabVIEW recordings.
 
     Raises:
-        RecordingError: one cannot be read; names file and line.
+        RecordingError: a recording cannot be read; the text names file and line.
     """
     titles = _make_titles(files)
     recordings = [open_recorded_run(path, tool) for path in files]
@@ -158,10 +158,10 @@ def read_report(
 
 
 def read_common_configuration(files: Sequence[Path]) -> tuple[TissueLibrary, Settings] | None:
-    """The library and the settings that all these recordings were made with; None where they do not say, or differ.
+    """Return the library and settings that all files were recorded with; None if they differ or a file has none.
 
     Raises:
-        RecordingError: one cannot be read.
+        RecordingError: a recording cannot be read.
     """
     containers = [McapFile(path) for path in files if is_mcap(path)]
     rigs = [RecordingContext.from_file(container) for container in containers]
@@ -172,7 +172,7 @@ def read_common_configuration(files: Sequence[Path]) -> tuple[TissueLibrary, Set
 
 
 def _make_titles(files: Sequence[Path]) -> dict[Path, str]:
-    """File names, with their folders where two are the same."""
+    """Return a title for each file: its name, or its path if two names are the same."""
     names = [path.name for path in files]
     return {path: path.name if names.count(path.name) == 1 else str(path) for path in files}
 
@@ -181,7 +181,7 @@ def write_atomically(path: Path, text: str) -> None:
     """Write a file whole or not at all.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     part = path.with_name(f".{path.name}.part")
     try:

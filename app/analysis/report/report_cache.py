@@ -1,4 +1,4 @@
-"""The reports of the service's recordings: each made once, one at a time, in a process of its own, and then kept."""
+"""Cache of the service's reports: each is built once, one at a time, in a background process."""
 
 import asyncio
 import contextlib
@@ -15,21 +15,21 @@ from config.schema import Settings, TissueLibrary, Tool
 from config.service_plan import ServicePlan
 
 RETRY_ADVICE = "Ask for the report again."
-MAX_PAGES = 30  # pages of some megabytes
-MAX_PENDING_REPORTS = 8  # that wait or are made at a time
+MAX_PAGES = 30  # of some megabytes each
+MAX_PENDING_REPORTS = 8  # waiting or being built
 PROGRESS_STEP = 0.01
 
 
 @dataclass(slots=True)
 class _ReportBuild:
-    """A report on its way, and how far it is."""
+    """A report that is being built, and its progress."""
 
     task: "asyncio.Task[None]"
     done_share: float = 0.0
 
 
 class ReportCache:
-    """A recording that has changed, or another configuration or version, is another report."""
+    """Keeps report pages; a changed recording, configuration or version gets a new page."""
 
     def __init__(self, plan: ServicePlan) -> None:
         self._plan = plan
@@ -39,13 +39,13 @@ class ReportCache:
         self._configuration = "".join(each.model_dump_json() for each in configured) + __version__
 
     async def request_report(self, recording: Path, on_started: Callable[[], object] = lambda: None) -> Path | float:
-        """The page of a recording if it is there; else it is being made from now on, and this is the share done.
+        """Return the page of a recording if there is one; else build it in the background, and return the share done.
 
-        `begun` hears if it was not being made before.
+        Calls `on_started` if it starts a build.
 
         Raises:
-            GraspwatchError: it could not be made; the next time it is tried again.
-            RefusedError: too many are being made.
+            GraspwatchError: the last build failed; the next request starts a new one.
+            RefusedError: too many reports are being built.
         """
         page = await asyncio.to_thread(self._page_path, recording)
         making = self._builds.get(page)
@@ -56,13 +56,13 @@ class ReportCache:
             making.task.result()
         if await asyncio.to_thread(page.is_file):
             with contextlib.suppress(OSError):
-                os.utime(page)  # what is read is kept
+                os.utime(page)  # eviction goes by the time of the last request
             return page
         if sum(not each.task.done() for each in self._builds.values()) >= MAX_PENDING_REPORTS:
             raise RefusedError(f"{MAX_PENDING_REPORTS} reports are being made already. Ask again in a minute.", "name")
         making = self._builds[page] = _ReportBuild(asyncio.create_task(self._build(recording, page)))
         on_started()
-        making.task.add_done_callback(lambda task: task.cancelled() or task.exception())  # told when asked again
+        making.task.add_done_callback(lambda task: task.cancelled() or task.exception())  # the next request raises it
         return making.done_share
 
     def _page_path(self, recording: Path) -> Path:
@@ -74,7 +74,7 @@ class ReportCache:
         return self._plan.reports_folder / f"{_short_hash(str(recording.resolve()))}-{_short_hash(identity)}.html"
 
     async def discard(self, recording: Path) -> None:
-        """Let go of all pages of a recording, also those that are being made."""
+        """Delete all pages of a recording, and cancel the builds of its pages."""
         beginning = f"{_short_hash(str(recording.resolve()))}-"
         for page in [page for page in self._builds if page.name.startswith(beginning)]:
             self._builds.pop(page).task.cancel()
@@ -93,13 +93,13 @@ class ReportCache:
             await run_in_background_process("report", build_report, *wanted, on_message=told, advice=RETRY_ADVICE)
 
     def _evict(self) -> None:
-        """Let go of the pages that nobody has read for longest."""
+        """Delete the least recently read pages, to make room for a new one."""
         pages = sorted(self._plan.reports_folder.glob("*.html"), key=lambda page: page.stat().st_mtime, reverse=True)
         for page in pages[MAX_PAGES - 1 :]:
             page.unlink(missing_ok=True)
 
     async def aclose(self) -> None:
-        """End what is being made."""
+        """Cancel all builds."""
         tasks = [making.task for making in self._builds.values()]
         for task in tasks:
             task.cancel()
@@ -110,19 +110,19 @@ def _short_hash(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
-# --- in the process -----------------------------------------------------------------------------------------------
+# --- in the background process ------------------------------------------------------------------------------------
 
 
 def build_report(
     send: SendMessage, recording: Path, tool: Tool, library: TissueLibrary, settings: Settings, page_path: Path
 ) -> None:
-    """Make a recording's report and write its page; tells the share done.
+    """Build a recording's report and write its page; sends the share done.
 
     Raises:
-        RecordingError: it cannot be read; names file and line.
+        RecordingError: the recording cannot be read; the text names file and line.
         OSError: the page cannot be written.
     """
-    from app.analysis.report.page import render_report_page  # takes a second
+    from app.analysis.report.page import render_report_page  # a slow import
     from app.analysis.report.report import read_common_configuration, read_report, write_atomically
 
     told = 0.0

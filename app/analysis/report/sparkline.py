@@ -1,4 +1,4 @@
-"""A grasp's force as a line no larger than a word, drawn without a script."""
+"""A grasp's force as a line of a word's size, drawn without a script."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ WIDTH_PX, HEIGHT_PX, MAX_POINTS = 130, 34, 70
 
 
 def render_sparkline(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray, max_force_n: float) -> str:
-    """SVG of a force, N, (n,) at `ticks`; dashed: the limit that was enforced at the end. `most_n` is the height."""
+    """Render a force, N, (n,) at `ticks` as SVG, `max_force_n` high; the limit enforced last is dashed."""
     grid = TimeGrid.from_ticks(ticks, MAX_POINTS)
     points = grid.downsample(ticks, force_n)
     if not np.isfinite(points).any() or max_force_n <= 0:

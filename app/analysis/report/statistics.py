@@ -1,4 +1,4 @@
-"""What a set of grasps says of the tissues, as the paper tells it: Tables VI and VII, Fig. 8, Tukey's test."""
+"""Statistics of a set of grasps, as in the paper: Tables VI and VII, Fig. 8, Tukey's test."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,13 +12,17 @@ from estimator.decision import UNDECIDED, UNKNOWN
 from estimator.estimate_block import GraspRecord
 
 SIGNIFICANCE_LEVEL = 0.05  # the paper's p
-DIVERGENCE_FACTOR = 100.0  # times the grasp's largest force
-MIN_GROUP_GRASPS = 2  # grasps of a group: fewer have no spread
-PARAMETERS = {"alpha": "alpha_n", "beta": "beta_per_m", "d": "damping_kg_per_s"}  # the paper's names, the record's
+DIVERGENCE_FACTOR = 100.0  # force error by peak force from which a filter has diverged
+MIN_GROUP_GRASPS = 2  # fewer grasps have no spread
+PARAMETERS = {
+    "alpha": "alpha_n",
+    "beta": "beta_per_m",
+    "d": "damping_kg_per_s",
+}  # the paper's name: field of `GraspRecord`
 
 
 class TruthSource(StrEnum):
-    """Who says what was held."""
+    """The source that states which tissue was held."""
 
     LABEL = "the label given with the file"
     RECORDING = "the recording"
@@ -27,9 +31,9 @@ class TruthSource(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One grasp as the statistics take it. `truth`: what was held, None where only the verdict tells it.
+    """One grasp for the statistics. `truth`: the tissue that was held, None where only the verdict tells it.
 
-    `force_errors_n`: lowest and highest error of each filter's force (estimated less measured), N.
+    `force_errors_n`: each filter's lowest and highest force error (estimated less measured), N.
     """
 
     source: str
@@ -44,7 +48,7 @@ class Observation:
 
     @property
     def filter_tissue(self) -> str:
-        """Whose filter the paper's criteria are taken from: the group's own, or else the likeliest tissue's."""
+        """The tissue whose filter the paper's criteria use: the group itself, or else the likeliest tissue."""
         likely = {name: self.record.probabilities.get(name, 0.0) for name in self.record.convergence_s}
         return self.group if self.group in likely else max(likely, key=likely.__getitem__)
 
@@ -54,29 +58,29 @@ class Observation:
 
     @property
     def diverged(self) -> bool:
-        """Whether its filter's force ran so far away that no number of it means anything."""
+        """Whether the filter's force error is so large that its values mean nothing."""
         errors = [self.record.force_error_n[self.filter_tissue], *(self.force_errors_n.get(self.filter_tissue) or ())]
         most_n = DIVERGENCE_FACTOR * (self.record.peak_force_n or 0.0)
         return any(abs(error) > most_n for error in errors if error is not None)
 
     @property
     def force_error_n(self) -> float | None:
-        """Mean over the grasp; None where the filter diverged."""
+        """Mean force error over the grasp, N; None where the filter diverged."""
         return None if self.diverged else self.record.force_error_n[self.filter_tissue]
 
     @property
     def sample_errors_n(self) -> tuple[float, float] | None:
-        """Lowest and highest of a sample; None where the filter diverged."""
+        """Lowest and highest force error of a sample, N; None where the filter diverged."""
         return None if self.diverged else self.force_errors_n.get(self.filter_tissue)
 
     @property
     def parameters(self) -> tuple[float, float, float] | None:
-        """alpha N, beta 1/m, d kg/s at the grasp's end; None unless all three are there."""
+        """alpha N, beta 1/m, d kg/s at the grasp's end; None unless all three are known and positive."""
         values = tuple(getattr(self.record, name) for name in PARAMETERS.values())
         return None if None in values or min(values) <= 0 else values
 
     def exclusion_reason(self) -> str | None:
-        """Why it is no part of the statistics, or None."""
+        """Return why the statistics leave the grasp out, or None."""
         if not self.record.valid:
             return f"invalid: {self.record.why_invalid or 'not said why'}"
         if self.parameters is None:
@@ -88,7 +92,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class ValueSummary:
-    """Largest, mean and smallest of some values; None of none."""
+    """Largest, mean and smallest of some values; None if there are no values."""
 
     largest: float | None
     mean: float | None
@@ -97,14 +101,14 @@ class ValueSummary:
 
     @classmethod
     def from_values(cls, values: Iterable[float | None]) -> "ValueSummary":
-        """Of the values that are there."""
+        """Summarize the values that are not None."""
         there = [value for value in values if value is not None]
         return cls(max(there), float(np.mean(there)), min(there), len(there)) if there else cls(None, None, None, 0)
 
 
 @dataclass(frozen=True, slots=True)
 class ConvergenceSummary:
-    """A group's row of Table VI. `sample_error_n` is over single samples, `error_n` over the grasps' means."""
+    """A group's row of Table VI. `error_n` is over the grasps' means, `sample_error_n` over single samples."""
 
     grasps: int
     convergence_s: ValueSummary
@@ -114,7 +118,7 @@ class ConvergenceSummary:
 
 @dataclass(frozen=True, slots=True)
 class ParameterSummary:
-    """A group's cell of Table VII. `geometric_mean`: exp of the mean log; `log_sd`: None for a single grasp."""
+    """A group's cell of Table VII. `log_sd`: SD of the logarithm, None for a single grasp."""
 
     mean: float
     geometric_mean: float
@@ -123,7 +127,7 @@ class ParameterSummary:
 
 @dataclass(frozen=True, slots=True)
 class GroupComparison:
-    """How a parameter of one group is to that of another: ratio of geometric means with its 95 % interval, and p."""
+    """One parameter compared between two groups: ratio of geometric means with its 95 % interval, and p."""
 
     ratio: float
     low: float
@@ -139,7 +143,7 @@ class GroupComparison:
 class TukeyTest:
     """Tukey's honestly significant differences for one parameter, by pair of groups.
 
-    `why_not`: one sentence where there are none. `too_small`: groups that could not take part.
+    `skip_reason`: a sentence if there are no pairs. `too_small_groups`: groups that could not take part.
     """
 
     pairs: dict[tuple[str, str], GroupComparison]
@@ -149,7 +153,7 @@ class TukeyTest:
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of all grasps of a report. `groups` and `values` (log parameters, (n, 3)) by name, the library's order first."""
+    """Statistics of a report's grasps. `groups` and `log_parameters` (n, 3) by name, in the library's order."""
 
     truth_sources: tuple[TruthSource, ...]
     groups: dict[str, list[Observation]]
@@ -160,7 +164,7 @@ class Statistics:
     tukey: dict[str, TukeyTest]
 
     def find_distinguishing_parameters(self) -> dict[tuple[str, str], list[str]]:
-        """For each pair of groups, the parameters that tell one from the other."""
+        """Return the parameters that differ significantly between the groups of each pair."""
         pairs = dict.fromkeys(pair for one in self.tukey.values() for pair in one.pairs)
         return {
             pair: [name for name, one in self.tukey.items() if pair in one.pairs and one.pairs[pair].differs]
@@ -215,10 +219,10 @@ def _summarize_parameters(logs: np.ndarray) -> dict[str, ParameterSummary]:
 
 
 def run_tukey_test(logs: dict[str, np.ndarray]) -> TukeyTest:
-    """Tukey's test (Tukey and Kramer's where groups are unequal) on logarithms of a parameter, (n,) for each group.
+    """Apply Tukey's test (Tukey-Kramer for unequal groups) to logarithms of a parameter, (n,) for each group.
 
-    On logarithms, because specimens scatter by factors, and the test takes all groups to scatter alike: alpha of
-    bladder is a hundredth of the others', and as plain numbers its whole spread would vanish in liver's.
+    The test assumes that all groups scatter alike, and specimens scatter by factors, hence logarithms. Bladder's alpha
+    is a hundredth of the others': as plain numbers, its whole spread would vanish in liver's.
     """
     large = {name: values for name, values in logs.items() if len(values) >= MIN_GROUP_GRASPS}
     too_small = tuple(name for name in logs if name not in large)

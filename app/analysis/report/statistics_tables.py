@@ -1,4 +1,4 @@
-"""The statistics as tables, as the page and the JSON have them."""
+"""The tables of the statistics, for the page and the JSON."""
 
 from app.analysis.report.statistics import PARAMETERS, SIGNIFICANCE_LEVEL, Statistics, ValueSummary
 from app.analysis.report.tissue_styles import TissueStyle
@@ -14,7 +14,7 @@ SUMMARY_COLUMNS = ("max", "mean", "min")
 def build_statistics_tables(
     statistics: Statistics, library: TissueLibrary, tissue_styles: dict[str, TissueStyle]
 ) -> list[Table]:
-    """Tables VI and VII, Tukey's comparisons, and what tells which pair apart."""
+    """Build Tables VI and VII, Tukey's comparisons, and the parameters that tell each pair of tissues apart."""
     if not statistics.groups:
         return []
     tables = [
@@ -129,5 +129,5 @@ def _build_distinguishing_table(statistics: Statistics, tissue_styles: dict[str,
 
 
 def format_p_value(p: float) -> str:
-    """A probability that is never told as nothing."""
+    """Format a p-value; a small one is given as a bound, never as zero."""
     return "<\u00a00.001" if p < 0.001 else f"{p:.3f}"

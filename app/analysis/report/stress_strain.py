@@ -1,4 +1,4 @@
-"""Stress over strain, Eq. (21): the library's curves with their spread, and what grasps gave."""
+"""Stress over strain, Eq. (21): curves of the library with their spread, and curves of grasps."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from app.analysis.report.tissue_styles import TissueStyle
 from config.schema import TissueLibrary, TissueProfile
 from estimator.estimate_block import GraspRecord
 
-THRESHOLD_MARGIN = 1.15  # of the highest injury threshold
+THRESHOLD_MARGIN = 1.15  # multiple of an injury threshold at which a library curve ends
 CURVE_POINTS = 60
-SMOOTHING_SAMPLES = 9  # samples: the speed is taken over as many
+SMOOTHING_SAMPLES = 9  # length of the moving average applied before the speed is computed
 
 
 @dataclass(frozen=True, slots=True)
 class StressStrainCurve:
-    """Strain, and stress in kPa as measured and as a filter estimated it (NaN where it has no estimate), (n,) each."""
+    """Strain, measured stress and a filter's estimated stress in kPa (NaN: no estimate), (n,) each."""
 
     strain: np.ndarray
     measured_kpa: np.ndarray
@@ -26,10 +26,10 @@ class StressStrainCurve:
 
 
 def build_curve(recording: AnalyzedRecording, grasp: GraspRecord) -> StressStrainCurve | None:
-    """What a grasp gave while it closed on the tissue; None where nothing was held.
+    """Build a grasp's curve while the jaws close on the tissue; None if no tissue was held.
 
-    Damping is taken off the force, since the library's curves have none. The filter, and the thickness where none was
-    measured at contact, are those of the tissue named, or else of the likeliest.
+    The damping force is subtracted, since the library's curves have none. The filter is that of the named tissue, or
+    else of the likeliest; so is the thickness where none was measured at contact.
     """
     rows = recording.traces_before_jaw_closure(grasp)
     rows = rows[np.isfinite(rows["tissue_displacement_m"]) & np.isfinite(rows["jaw_force_n"])]
@@ -52,7 +52,7 @@ def build_curve(recording: AnalyzedRecording, grasp: GraspRecord) -> StressStrai
 
 
 def draw_library_curves(library: TissueLibrary, tissue_styles: dict[str, TissueStyle]) -> go.Figure:
-    """The library's curves up to the highest injury threshold, each with a band of one standard deviation."""
+    """Draw the library's curves to just above their injury thresholds, each with a band of one standard deviation."""
     figure = go.Figure()
     most_n = THRESHOLD_MARGIN * max(library.threshold_n(name) for name in library.tissues)
     reach = 0.0
@@ -86,14 +86,14 @@ def draw_library_curves(library: TissueLibrary, tissue_styles: dict[str, TissueS
 
 
 def _log_strain_sd(library: TissueLibrary, name: str, profile: TissueProfile, force_n: np.ndarray) -> np.ndarray:
-    """SD of the log of the strain at a force, from those of alpha, beta and thickness, to first order."""
+    """Return the SD of log strain at a force, to first order, from the SDs of log alpha, beta and thickness."""
     spread, ratio = library.spread_of(name), np.maximum(force_n / profile.alpha_n, 1e-9)
     by_alpha = ratio / (1 + ratio) / np.log1p(ratio)
     return np.sqrt((by_alpha * spread.log_alpha) ** 2 + spread.log_beta**2 + spread.log_thickness**2)
 
 
 def draw_grasp_curve(figure: go.Figure, curve: StressStrainCurve, title: str, tissue_style: TissueStyle) -> None:
-    """A thin line for one of many grasps."""
+    """Add a thin line for one of many grasps."""
     figure.add_scatter(
         x=curve.strain.astype(np.float32),
         y=curve.measured_kpa.astype(np.float32),

@@ -1,4 +1,4 @@
-"""What a report's page looks like beyond what it shares with the studies."""
+"""Styles of a report's page beyond those it shares with the studies."""
 
 REPORT_CSS = """
 .menu, .facts { display: flex; flex-wrap: wrap; gap: 0.25rem 1.5rem; margin: 0.5rem 0; padding: 0; list-style: none }

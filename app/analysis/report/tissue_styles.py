@@ -1,4 +1,4 @@
-"""How a tissue is told from the others: a colour by its place in the library, and letters, as on the dashboard."""
+"""Color and abbreviation of each tissue, as on the dashboard; the color follows its place in the library."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ from config.schema import TissueLibrary
 from estimator.decision import UNDECIDED, UNKNOWN
 from estimator.force_alarms import Priority
 
-# Okabe and Ito's palette in the dashboard's order, and the colour of text on each
+# Okabe and Ito's palette in the dashboard's order, each with the color of text on it
 TISSUE_COLORS = (
     ("#56b4e9", "#000000"),
     ("#e69f00", "#000000"),
@@ -22,7 +22,7 @@ ALARM_COLORS = {Priority.LOW: "#00d5f0", Priority.MEDIUM: "#ffd400", Priority.HI
 
 @dataclass(frozen=True, slots=True)
 class TissueStyle:
-    """`on`: the colour of text on `colour`."""
+    """Name and look of a tissue or other group; `text_color` is for text on `color`."""
 
     name: str
     title: str
@@ -32,7 +32,7 @@ class TissueStyle:
 
 
 def build_tissue_styles(library: TissueLibrary, groups: tuple[str, ...] = ()) -> dict[str, TissueStyle]:
-    """Looks of the library's tissues, of *unknown* and *undecided*, and of other groups that a report names."""
+    """Build styles for the library's tissues, *unknown*, *undecided*, and other groups that a report names."""
     titles = {name: profile.title for name, profile in library.tissues.items()}
     others = [name for name in groups if name not in (*titles, UNKNOWN, UNDECIDED)]
     titles |= {name: name.replace("_", " ").capitalize() for name in others}
@@ -48,7 +48,7 @@ def build_tissue_styles(library: TissueLibrary, groups: tuple[str, ...] = ()) ->
 
 
 def _abbreviate(title: str, titles: list[str]) -> str:
-    """Initials, or as many letters of the title as no other one shares."""
+    """Return the title's initials, or if they are taken, its shortest beginning that no other title shares."""
     others = [other for other in titles if other != title]
     if _initials(title) not in map(_initials, others):
         return _initials(title)

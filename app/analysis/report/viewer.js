@@ -1,11 +1,11 @@
 "use strict";
-// Draws what stands in #report-data: figures as they are, courses from packed channels, and the grasp that is chosen.
+// Draws the data in #report-data: whole figures, time plots from packed channels, and the chosen grasp.
 (() => {
   const NO_VALUE = 65535;
   const data = JSON.parse(document.getElementById("report-data").textContent);
   const options = { displaylogo: false, responsive: true };
 
-  /** 16-bit steps between the least and the greatest value, little end first. */
+  /** Unpack little-endian 16-bit steps between the minimum and the maximum. */
   function unpack([text, low, high], logarithmic) {
     const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
     const steps = new DataView(bytes.buffer);
@@ -36,7 +36,7 @@
     return Plotly.react(box, lines, layout, options);
   };
 
-  // One after the other, so that the page can be read meanwhile; printing needs all of them at once.
+  // Draw one plot after the other, so that the page stays usable; printing draws all the rest at once.
   const waiting = [...document.querySelectorAll("[data-course], [data-figure]")];
   function drawNext() {
     const box = waiting.shift();
