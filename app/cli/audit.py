@@ -1,4 +1,4 @@
-"""`graspwatch audit`: whether the journal is as it was written, and its lines for others."""
+"""`graspwatch audit`: verification and export of the journal."""
 
 import sys
 from datetime import datetime
@@ -57,7 +57,7 @@ def _print_result(found: JournalCheck) -> None:
 
 
 def _read_index_checkpoints(settings: Settings, folder: Path, notes: list[str]) -> list[ChainCheckpoint]:
-    """An index that cannot be asked does not keep the chain itself from being checked."""
+    """Read the index's checkpoints; if that fails, add a note, as the chain itself can still be checked."""
     from app.index.database import index_url_from_settings
     from app.index.status import read_chain_positions
 

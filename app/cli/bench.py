@@ -1,4 +1,4 @@
-"""`graspwatch bench`: how promptly this machine reads the tool, plain and tuned, idle and busy."""
+"""`graspwatch bench`: how late this machine reads samples, with and without real-time settings, idle and busy."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def bench(
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to measure.")
 
-    from acquisition.bench.jitter import cpu_load, measure_jitter  # takes a second
+    from acquisition.bench.jitter import cpu_load, measure_jitter  # a slow import
     from acquisition.tool_factory import open_tool
     from acquisition.worker import REALTIME_PRIORITY
 

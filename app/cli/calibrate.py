@@ -1,4 +1,4 @@
-"""`graspwatch calibrate`: measure a tool's constants at the bench, and write them to a dated tool file of its own."""
+"""`graspwatch calibrate`: measurement of a tool's constants at the bench, written to a new, dated tool file."""
 
 import getpass
 import json
@@ -42,7 +42,7 @@ EMPTY_JAWS_QUESTION = "The jaws will close with half a volt. Are they empty, is 
 
 
 class _CommandLineCalibration:
-    """One calibration: what it asks, and what becomes of its fit."""
+    """One calibration on the command line: questions, readings, and the output of the fit."""
 
     def __init__(
         self,
@@ -63,32 +63,35 @@ class _CommandLineCalibration:
         self._assume_yes, self._as_json = yes, as_json
         if not (yes or error_console.is_terminal):
             raise ConfigurationError("Nobody is at a terminal to answer: prepare all, then say so with --yes.")
-        from config.writing import check_writable  # takes a while
+        from config.writing import check_writable  # a slow import
 
         check_writable(self._folder)
 
     def open_bench(self) -> "CalibrationBench":
-        """The tool, for measuring."""
+        """Open the tool for measuring."""
         if self.tool.kind is ToolKind.RECORDING:
             raise ConfigurationError(f"The tool {self.tool.name!r} is for recordings: name the real one with --tool.")
         from acquisition.tool_factory import open_calibration_bench
         from acquisition.worker import REALTIME_PRIORITY
-        from acquisition.worker_process import hold_realtime_priority  # takes a second
+        from acquisition.worker_process import hold_realtime_priority  # slow imports
 
-        return open_calibration_bench(
-            self.tool, partial(hold_realtime_priority, REALTIME_PRIORITY)
-        )  # as the worker reads it
+        # The bench reads with the worker's priority.
+        return open_calibration_bench(self.tool, partial(hold_realtime_priority, REALTIME_PRIORITY))
 
     def print_message(self, text: str) -> None:
         error_console.print(escape(text), soft_wrap=True)
 
     def confirm(self, question: str) -> None:
-        """Go on only if somebody agrees."""
+        """Ask the person at the terminal, unless `--yes` was given.
+
+        Raises:
+            CalibrationError: the person declines.
+        """
         if not self._assume_yes and not typer.confirm(question, default=True, err=True):
             raise CalibrationError("Broken off. Nothing was written.")
 
     def read_with_retry(self, measure: Callable[[], T]) -> T:
-        """One reading; where it fails and somebody is there, again if they want."""
+        """Take one reading; if it fails, offer the person at the terminal to repeat it."""
         while True:
             try:
                 return measure()
@@ -106,7 +109,7 @@ class _CommandLineCalibration:
         measure: Callable[[float], T],
         format_reading: Callable[[float, T], str],
     ) -> list[T]:
-        """A reading for each weight or gauge, one after the other."""
+        """Take a reading for each weight or gauge, one after the other."""
         found = []
         for n, value in enumerate(values, 1):
             self.confirm(f"{n} of {len(values)}: {question(value)}")
@@ -115,13 +118,13 @@ class _CommandLineCalibration:
         return found
 
     def finish(self, fit: "Callable[[], CalibrationFit]") -> None:
-        """Fit, show, and write the new tool file with its plot."""
+        """Fit the constants, write the new tool file with its plot, and print the result."""
         try:
             found = fit()
         except CalibrationError as error:
             raise CalibrationError(f"{error} Nothing was written.") from None
         from acquisition.bench.calibration_file import write_calibration_file
-        from acquisition.bench.fits import read_current_value  # takes a while
+        from acquisition.bench.fits import read_current_value  # slow imports
 
         path = write_calibration_file(found, self._tool_source, self._person, self._valid_days, self._folder)
         plot = path.with_suffix(".html")
@@ -297,8 +300,8 @@ def _parse_numbers(text: str, option: str) -> list[float]:
 
 
 def _render_plot_page(fit: "CalibrationFit", title: str) -> str:
-    """The plot as a page of its own."""
-    import plotly.graph_objects as go  # takes a second
+    """Render the plot of a fit as an HTML page."""
+    import plotly.graph_objects as go  # a slow import
 
     (x, y), (line_x, line_y) = fit.points, fit.line
     figure = go.Figure(

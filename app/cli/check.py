@@ -1,4 +1,4 @@
-"""`graspwatch check`: walk a tool from its driver to its jaws."""
+"""`graspwatch check`: checks of a tool, from its driver to its jaws."""
 
 import json
 from dataclasses import asdict
@@ -34,7 +34,7 @@ def check(
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to check.")
 
-    from acquisition.bench.checks import CheckOutcome  # takes a second: not before the request is known to be sound
+    from acquisition.bench.checks import CheckOutcome  # a slow import, made after the options are checked
     from acquisition.tool_factory import open_hardware_check
     from acquisition.worker import REALTIME_PRIORITY
     from acquisition.worker_process import hold_realtime_priority
@@ -43,7 +43,7 @@ def check(
         is_asked = move is None and error_console.is_terminal and not as_json
         return typer.confirm(EMPTY_JAWS_QUESTION, err=True) if is_asked else bool(move)
 
-    reading = hold_realtime_priority(REALTIME_PRIORITY)  # as the worker will
+    reading = hold_realtime_priority(REALTIME_PRIORITY)  # as in the worker
     console, findings = Console(highlight=False), []
     for finding in open_hardware_check(chosen, load_library(settings.library), reading).run_checks(may_move):
         findings.append(finding)

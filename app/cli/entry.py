@@ -1,8 +1,8 @@
-"""Where the program begins. Its workers, being processes of their own, import this again: so it is nearly nothing."""
+"""Entry point of the program. Each worker process imports it again, so it imports nothing itself."""
 
 
 def main() -> None:
-    """The command line."""
+    """Run the command line."""
     from app.cli.main import main as run
 
     run()

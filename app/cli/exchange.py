@@ -37,9 +37,8 @@ def import_(
     profiles, rig_tool = load_library(library or settings.library), load_tool(tool)
     folder = prepare_data_folder(data, settings) / "recordings"
 
-    from app.recordings.exchange.labview_import import (
-        import_labview,  # takes a second: not before the request is known to be sound
-    )
+    # A slow import, made after the options are checked.
+    from app.recordings.exchange.labview_import import import_labview
     from app.recordings.mcap_writer import RecordingContext
 
     for path in files:
@@ -70,10 +69,10 @@ def export(
 
 
 def find_recording_file(run: str, config: Path | None, data: Path | None) -> Path:
-    """The file of a run, named by its path or, in the data folder, by its id.
+    """Find the file of a run by its path or, in the data folder, by its id.
 
     Raises:
-        RecordingError: there is none.
+        RecordingError: there is no such recording.
     """
     named = Path(run)
     if named.suffix == ".mcap" or named.exists():

@@ -1,4 +1,4 @@
-"""`graspwatch index`: what the index holds, and building it anew."""
+"""`graspwatch index`: status of the index, and its rebuild."""
 
 import contextlib
 import json
@@ -22,7 +22,7 @@ from config.errors import GraspwatchError
 
 
 def print_status(url: URL, data: Path, as_json: bool) -> None:
-    """Print where it is, how much is in it, and what it lacks."""
+    """Print where the index is, how much it holds, and what it lacks."""
     found = read_status(url, data, RECORDING_READERS)
     if as_json:
         print(json.dumps(asdict(found), indent=2))
@@ -48,7 +48,7 @@ def _format_revision(found: IndexStatus) -> str:
 
 
 def rebuild_and_report(url: URL, data: Path, error_console: Console, progress: Callable[[float], None]) -> None:
-    """Rebuild, and print what was found.
+    """Rebuild the index, and print what was found.
 
     Raises:
         ServiceError: see `rebuild`.
@@ -59,7 +59,7 @@ def rebuild_and_report(url: URL, data: Path, error_console: Console, progress: C
             rebuilt = rebuild(url, data, RECORDING_READERS, progress)
     finally:
         with contextlib.suppress(GraspwatchError, DBAPIError), contextlib.closing(Store(url)) as store:
-            store.ingest_all((line, None) for line in lines)  # else the next service takes them
+            store.ingest_all((line, None) for line in lines)  # if this fails, the next service adds them
     for problem in rebuilt.problems:
         error_console.print(f"Left out in part: {problem}", markup=False, soft_wrap=True)
     if rebuilt.broken_lines:

@@ -1,4 +1,4 @@
-"""What a program on this machine changes in a data folder stands in its journal too."""
+"""Journal entries for changes that a command makes in a data folder."""
 
 import contextlib
 import getpass
@@ -16,7 +16,7 @@ from config.errors import GraspwatchError
 def journal_local_command(
     data: Path, action: str, description: str, on_entry: Callable[[JournalEntry], object] = lambda _: None
 ) -> Iterator[None]:
-    """Note what is done inside, whether it succeeds or fails."""
+    """Write a journal entry for the block inside, done or failed with `GraspwatchError`."""
     journal = Journal(data, _print_warning, on_entry)
     client = f"this machine: graspwatch {action}"
     try:
@@ -32,7 +32,7 @@ def journal_local_command(
 def _user_name() -> str:
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # a container may have no names
+    except (KeyError, OSError):  # a container may have no user names
         return f"user {os.getuid()}"
 
 

@@ -1,4 +1,4 @@
-"""What `--label` says: which files hold which tissue."""
+"""The option `--label`, which assigns recordings to tissues."""
 
 import glob
 import re
@@ -16,7 +16,7 @@ RESERVED_NAMES = ("unknown", "undecided")
 
 
 class LearnCommand(TyperCommand):
-    """Takes `--label liver=a b c` as well: files that follow a label belong to it."""
+    """A command that also accepts `--label liver=a b c`: files that follow a label belong to it."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         return super().parse_args(ctx, expand_label_arguments(args))
@@ -26,7 +26,7 @@ class LearnCommand(TyperCommand):
 
 
 def expand_label_arguments(args: list[str]) -> list[str]:
-    """Arguments with a `--label` of its own before every file that follows one."""
+    """Replace each file that follows a label by a `--label` argument of its own."""
     result: list[str] = []
     label: str | None = None
     before = ""
@@ -44,10 +44,10 @@ def expand_label_arguments(args: list[str]) -> list[str]:
 
 
 def parse_labels(labels: list[str]) -> dict[str, list[Path]]:
-    """Files of each tissue, from `TISSUE=FILE`, `TISSUE=FILE,FILE` and patterns such as `TISSUE=liver*.lvm.gz`.
+    """Return each tissue's files from `TISSUE=FILE`, `TISSUE=FILE,FILE` and patterns such as `TISSUE=liver*.lvm.gz`.
 
     Raises:
-        ConfigurationError: a label without a file, a name that no tissue may have, or a pattern that fits nothing.
+        ConfigurationError: a label has no file or no valid tissue name, or a pattern matches no file.
     """
     result: dict[str, list[Path]] = {}
     for text in labels:

@@ -1,4 +1,4 @@
-"""`graspwatch learn`: a tissue library from labelled recordings, and a report of how far it can be trusted."""
+"""`graspwatch learn`: a tissue library from labeled recordings, and a report of how far it can be trusted."""
 
 import json
 from collections.abc import Sequence
@@ -69,8 +69,8 @@ def learn(
 
     from app.analysis.learning.learning_report import build_report
     from app.analysis.learning.training_set import (
-        load_training_set,  # takes a second: not before the request is known to be sound
-    )
+        load_training_set,
+    )  # a slow import, made after the options are checked
     from estimator.learning.cross_validation import cross_validate
     from estimator.learning.library_fit import fit_library
     from estimator.learning.recorded_grasps import LabeledRecording, estimate_usual_peak_v, extract_loading_curves
@@ -101,7 +101,7 @@ def learn(
 
 
 def _find_recording_tool(files: dict[str, list[Path]]) -> Tool:
-    """The tool that the first file which knows its own was recorded with, else that of the lab's LabVIEW logs."""
+    """Return the tool of the first MCAP file, or without one the default tool of LabVIEW logs."""
     from acquisition.recordings.mcap_reader import McapFile
     from acquisition.recordings.recording import is_mcap, read_recorded_tool
 
@@ -111,7 +111,7 @@ def _find_recording_tool(files: dict[str, list[Path]]) -> Tool:
 
 
 def _make_library_name(text: str) -> str:
-    """A file's name as a library's name."""
+    """Convert a file's name to a library's name."""
     letters = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in text.lower()).strip("_")
     return letters or "learned"
 

@@ -1,5 +1,4 @@
-"""The command line. Exit codes: 0 done, 2 wrong use or configuration, 3 recording, 4 tool, 5 refused, 6 service,
-7 journal, 8 calibration."""
+"""The `graspwatch` command: `serve`, `run`, `replay`, `index`, and the registration of the other commands."""
 
 import contextlib
 import json
@@ -152,7 +151,7 @@ def run(
     require_known_name(tissue, list(build_graspable_library(profiles).tissues), "tissue")
     profiles.check_tool(_simulated_tool(settings))
 
-    from app.analysis.headless import run_protocol  # takes a second: not before the request is known to be sound
+    from app.analysis.headless import run_protocol  # a slow import, made after the options are checked
 
     count = cycles or wanted.cycles
     duration_s = wanted.lead_in_s + count * wanted.waveform.cycle_s
@@ -221,7 +220,7 @@ def replay(
     for path in files:
         profiles.check_tool(rig if tool else RecordingSource(path, rig).tool)
 
-    from app.analysis.headless import replay_recording  # takes a second: not before the files are known to be sound
+    from app.analysis.headless import replay_recording  # a slow import, made after the files are checked
     from app.recordings.mcap_writer import RecordingContext
     from config.service_plan import ServicePlan
 
@@ -278,13 +277,13 @@ def index(
 
 
 def _simulated_tool(settings: Settings) -> Tool:
-    """The tool that the settings name if it is a simulated one, else the shipped simulated one."""
+    """Return the tool that the settings name if it is simulated, else the shipped simulated tool."""
     named = load_tool(settings.tool)
     return named if named.kind is ToolKind.SIMULATED else load_tool("simulated")
 
 
 def _apply_tls_options(settings: Settings, cert: Path | None, key: Path | None) -> Settings:
-    """With what the command line says."""
+    """Return the settings with the certificate and key of the command line."""
     changes = {name: str(path) for name, path in (("tls_cert", cert), ("tls_key", key)) if path}
     return settings.model_copy(update={"server": settings.server.model_copy(update=changes)})
 
@@ -305,7 +304,7 @@ def _start_server(plan: "ServicePlan", host: str | None, port: int | None) -> No
         if stream_port:
             from app.service.foxglove_worker import HOST
 
-            open_listener(HOST, stream_port).close()  # to say it now if the port is taken
+            open_listener(HOST, stream_port).close()  # fails now, not in the worker, if the port is taken
         warning = check_listen_address(address, plan.data_folder, server.tls_cert is not None)
         application = create_app(plan)
         unless_served.pop_all()
@@ -364,7 +363,7 @@ def _build_table(document: dict[str, Any]) -> Table:
 
 
 def main() -> None:
-    """Entry point: every error a user can meet ends with one message and its own exit code."""
+    """Run the command line; print an expected error as one message, and exit with its code."""
     try:
         app()
     except GraspwatchError as error:

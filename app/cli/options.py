@@ -1,4 +1,4 @@
-"""What the commands have in common: options, the data folder, the progress bar, where errors go."""
+"""Shared parts of the commands: options, the data folder, the progress bar, the error console."""
 
 import tempfile
 import time
@@ -38,10 +38,10 @@ ConfigOption = Annotated[
 
 
 def prepare_data_folder(folder_option: Path | None, settings: Settings) -> Path:
-    """The folder for everything that is kept, made where it is missing.
+    """Return the data folder, and make it if it is missing.
 
     Raises:
-        ConfigurationError: it cannot be made or written to.
+        ConfigurationError: the folder cannot be made or written to.
     """
     folder = folder_option or Path(settings.data_folder)
     try:
@@ -57,7 +57,7 @@ def prepare_data_folder(folder_option: Path | None, settings: Settings) -> Path:
 
 
 class ProgressBar:
-    """A progress bar on the error output where that is a terminal; calls take what is done."""
+    """A progress bar on the error output, if that is a terminal; call it with the amount done."""
 
     def __init__(self, title: str, total: float) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())

@@ -1,4 +1,4 @@
-"""`graspwatch report`: one page and one JSON of recordings, with what they say of the tissues."""
+"""`graspwatch report`: a page and a JSON about recordings and their tissues."""
 
 import difflib
 import json
@@ -22,11 +22,9 @@ if TYPE_CHECKING:
 
 RECORDING_SUFFIXES = (".mcap", ".lvm", ".lvm.gz")
 TISSUE_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_]*")
-PAGE_MARKER, DATA_MARKER = (
-    '<meta name="generator" content="Graspwatch report">',
-    '"report": "Report: ',
-)  # in the first bytes
-MARKER_SEARCH_BYTES = 1000  # bytes
+# An earlier report, which may be overwritten, has its marker in its first bytes.
+PAGE_MARKER, DATA_MARKER = ('<meta name="generator" content="Graspwatch report">', '"report": "Report: ')
+MARKER_SEARCH_BYTES = 1000
 
 
 def report(
@@ -71,9 +69,7 @@ def report(
     data_path = page_path.with_suffix(".json")
     _check_output_paths(page_path, data_path)
 
-    from app.analysis.report.page import (
-        render_report_page,  # takes a second: not before the request is known to be sound
-    )
+    from app.analysis.report.page import render_report_page  # a slow import, made after the options are checked
     from app.analysis.report.report import read_common_configuration, read_report, write_atomically
 
     if library is None and config is None:
@@ -99,10 +95,10 @@ def report(
 
 
 def _find_recording(name: str, folder: Path) -> Path:
-    """A file by its path, or one of the data folder's recordings by its name, with or without its ending.
+    """Find a file by its path, or a recording of the data folder by its name, with or without its suffix.
 
     Raises:
-        ConfigurationError: there is none.
+        ConfigurationError: there is no such file or recording.
     """
     places = [Path(name), *(folder / f"{name}{ending}" for ending in ("", *RECORDING_SUFFIXES))]
     path = next((place for place in places if place.is_file()), None)
@@ -112,10 +108,10 @@ def _find_recording(name: str, folder: Path) -> Path:
 
 
 def _parse_labels(labels: list[str], files: list[Path], library: TissueLibrary) -> dict[Path, str]:
-    """What was held, by file.
+    """Return the tissue that was held, by file.
 
     Raises:
-        ConfigurationError: a label is not understood, or names a file that is not in the report.
+        ConfigurationError: a label is malformed, or does not name exactly one unlabeled recording of the report.
     """
     held: dict[Path, str] = {}
     for one in labels:
@@ -136,7 +132,7 @@ def _parse_labels(labels: list[str], files: list[Path], library: TissueLibrary) 
 
 
 def _check_tissue(tissue: str, library: TissueLibrary) -> None:
-    """A tissue that is not in the library can be told, but not one that is misspelt."""
+    """Accept a tissue that is not in the library, but not a misspelling of one that is."""
     if tissue in library.tissues:
         return
     if not TISSUE_NAME_PATTERN.fullmatch(tissue) or tissue == UNDECIDED:
@@ -146,10 +142,10 @@ def _check_tissue(tissue: str, library: TissueLibrary) -> None:
 
 
 def _check_output_paths(page: Path, data: Path) -> None:
-    """That both files can be written and that nothing but an earlier report is lost.
+    """Check that both files can be written, and that they overwrite nothing but an earlier report.
 
     Raises:
-        ConfigurationError: they cannot, or something else is there.
+        ConfigurationError: a file cannot be written, or would overwrite something else.
     """
     if page.suffix not in (".html", ".htm"):
         raise ConfigurationError(f"--out {page}: the page's name must end in .html.")
@@ -172,7 +168,7 @@ def _check_output_paths(page: Path, data: Path) -> None:
 
 
 def _print_summary(report_result: "Report", page: Path, data: Path) -> None:
-    """The figures in short; the whole of them stands on the page."""
+    """Print the most important figures; the page has all."""
     from estimator.studies.html_page import format_value
 
     found, looks, console = report_result.statistics, report_result.tissue_styles, Console()

@@ -1,4 +1,4 @@
-"""`graspwatch study`: measures how right, how early and how honest the estimator is; writes a page and a JSON."""
+"""`graspwatch study`: how accurate, early and well calibrated the estimator is, as a page and a JSON."""
 
 import json
 import time
@@ -24,7 +24,10 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 error_console = Console(stderr=True, highlight=False)
-ESTIMATE_AFTER_SHARE, ESTIMATE_AFTER_S = 0.05, 1.0  # of the cases, and seconds, when there is no terminal for a bar
+ESTIMATE_AFTER_SHARE, ESTIMATE_AFTER_S = (
+    0.05,
+    1.0,
+)  # share of cases and seconds before the one-line estimate of the time left
 DEFAULT_FOLDER = Path("studies")
 
 GraspsOption = Annotated[
@@ -56,7 +59,7 @@ def _make_seeds_command(study: StudyDefinition) -> Callable[..., None]:
         jobs: JobsOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        from estimator.studies.answer_course import StudyConditions  # takes a second
+        from estimator.studies.answer_course import StudyConditions  # a slow import
 
         _print_study(_run_study(study, StudyConditions(), seeds, seed, jobs), out, as_json)
 
@@ -125,7 +128,7 @@ def _make_library_command(study: StudyDefinition) -> Callable[..., None]:
 
 
 def _make_command(study: StudyDefinition) -> Callable[..., None]:
-    """The study as a command, with the options that mean something to it."""
+    """Make the command of a study, with the options that apply to it."""
     if not study.uses_conditions:
         return _make_seeds_command(study)
     if not study.uses_protocol:
@@ -140,7 +143,7 @@ for entry in STUDIES.values():
 def _run_study(
     study: StudyDefinition, bench: "StudyConditions", grasps: int, seed: int, jobs: int | None
 ) -> "StudyResult":
-    """Carry out a study, and show how far it is."""
+    """Carry out a study, and show its progress."""
     with _ProgressDisplay(study.name) as progress:
         return study.run(bench, grasps, seed, progress, jobs)
 
@@ -148,29 +151,28 @@ def _run_study(
 def _make_bench(
     protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool = True
 ) -> "StudyConditions":
-    """What the grasps have in common; a wrong name is told before anything starts.
+    """Return the conditions that all grasps share.
 
     Raises:
         ConfigurationError: there is no such protocol or library.
     """
-    load_protocol(protocol)
+    load_protocol(protocol)  # to refuse a wrong name before the study starts
     load_library(library)
-    from estimator.studies.answer_course import StudyConditions  # takes a second
+    from estimator.studies.answer_course import StudyConditions  # a slow import
 
     return StudyConditions(protocol, library, noise_mv, spread, touch, thickness)
 
 
 class _ProgressDisplay:
-    """How far a study is: a bar with the time left; where there is no terminal, one line that tells it."""
+    """A study's progress: a bar with the time left, or without a terminal one line with it."""
 
     def __init__(self, title: str) -> None:
         columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         self._bar = Progress(*columns, console=error_console, transient=True, disable=not error_console.is_terminal)
         self._task = self._bar.add_task(title)
         self._title, self._estimate_printed = title, error_console.is_terminal
-        self._first_progress: tuple[float, int] | None = (
-            None  # when the first cases were done, and how many: after compiling
-        )
+        # Time and number of the first cases done; compiling the filters took the time before.
+        self._first_progress: tuple[float, int] | None = None
 
     def __enter__(self) -> "_ProgressDisplay":
         self._bar.start()

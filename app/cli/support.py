@@ -1,4 +1,4 @@
-"""`graspwatch support`: one file for whoever is asked for help, with what he would ask for, and no secrets."""
+"""`graspwatch support`: a file without secrets for a person who is asked for help."""
 
 import json
 import os
@@ -30,9 +30,7 @@ from config.network import is_this_computer
 from config.schema import Settings
 
 REDACTED = "(hidden)"
-TOKEN_PATTERN = re.compile(
-    rf"{tokens.TOKEN_PREFIX}[\w-]{{16,}}"
-)  # none should be in any of it; this is the second lock
+TOKEN_PATTERN = re.compile(rf"{tokens.TOKEN_PREFIX}[\w-]{{16,}}")  # hidden, should a part hold a token by mistake
 ANSWER_TIMEOUT_S = 5.0
 SERVICE_ENDPOINTS = {
     "health.json": "/api/health",
@@ -86,7 +84,7 @@ def support(
 
 
 def _collect_local(settings: Settings, tool: str | None, data: Path) -> dict[str, str]:
-    """What can be said without the service. Whatever cannot be found out says why instead."""
+    """Collect the parts that need no service; a part that cannot be read says why instead."""
     wanted: dict[str, Callable[[], Any]] = {
         "about.json": _describe_system,
         "settings.json": lambda: settings.model_dump(mode="json"),
@@ -144,12 +142,12 @@ def _describe_data(data: Path) -> dict[str, Any]:
 
 
 def _collect_service(url: str, token: str | None) -> dict[str, str]:
-    """What the running service says of itself, or why it says nothing."""
-    import httpx  # takes a tenth of a second
+    """Collect what the running service answers, or why it does not answer."""
+    import httpx  # imported here because it takes a tenth of a second
 
     parts = {}
     headers = {"Authorization": f"Bearer {token}"} if token else {}
-    direct = is_this_computer(httpx.URL(url).host)  # no token leaves it for a proxy
+    direct = is_this_computer(httpx.URL(url).host)  # a proxy must not see the token
     trust = ssl.create_default_context()
     with httpx.Client(
         base_url=url, headers=headers, timeout=ANSWER_TIMEOUT_S, verify=trust, trust_env=not direct

@@ -1,4 +1,4 @@
-"""`graspwatch token`: who has a token, giving one, taking it back."""
+"""`graspwatch token`: adding, listing and revoking tokens."""
 
 import json
 from typing import Annotated
