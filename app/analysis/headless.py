@@ -69,9 +69,7 @@ def run_protocol(
     recording_path: Path | None,
     progress: Progress,
 ) -> RunSummary:
-    """Play a protocol on the simulated grasper and identify what it grasps.
-
-    Writes an MCAP file if `recording_path` is given; `progress` receives the seconds played.
+    """Play a protocol on the simulated grasper and identify what it grasps; `progress` receives the seconds played.
 
     Raises:
         RefusedError: the protocol exceeds the tool's limits.

@@ -226,7 +226,7 @@ def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
         log_config=None,  # uvicorn logs through the service's handlers
         log_level="warning",
         access_log=False,
-        proxy_headers=False,  # a client is its connection's address; the journal notes a proxy's claims as claims
+        proxy_headers=False,  # rights go by the connection's own address, not by what a proxy claims
         timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
     )
     logging.getLogger("uvicorn.error").addFilter(_is_no_refused_handshake)

@@ -169,7 +169,6 @@ class RecordingBin:
 
 
 def _stat_file_record(path: Path) -> FileRecord:
-    """Build the record of a recording from its file's name, size and modification time."""
     found = path.lstat()
     return FileRecord(
         name=path.name,

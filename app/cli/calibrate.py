@@ -82,11 +82,7 @@ class _CommandLineCalibration:
         error_console.print(escape(text), soft_wrap=True)
 
     def confirm(self, question: str) -> None:
-        """Ask the person at the terminal, unless `--yes` was given.
-
-        Raises:
-            CalibrationError: the person declines.
-        """
+        """Ask the person at the terminal unless `--yes` was given; raises `CalibrationError` if they decline."""
         if not self._assume_yes and not typer.confirm(question, default=True, err=True):
             raise CalibrationError("Broken off. Nothing was written.")
 
@@ -300,7 +296,6 @@ def _parse_numbers(text: str, option: str) -> list[float]:
 
 
 def _render_plot_page(fit: "CalibrationFit", title: str) -> str:
-    """Render the plot of a fit as an HTML page."""
     import plotly.graph_objects as go  # a slow import
 
     (x, y), (line_x, line_y) = fit.points, fit.line

@@ -111,7 +111,6 @@ def _find_recording_tool(files: dict[str, list[Path]]) -> Tool:
 
 
 def _make_library_name(text: str) -> str:
-    """Convert a file's name to a library's name."""
     letters = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in text.lower()).strip("_")
     return letters or "learned"
 

@@ -283,7 +283,6 @@ def _simulated_tool(settings: Settings) -> Tool:
 
 
 def _apply_tls_options(settings: Settings, cert: Path | None, key: Path | None) -> Settings:
-    """Return the settings with the certificate and key of the command line."""
     changes = {name: str(path) for name, path in (("tls_cert", cert), ("tls_key", key)) if path}
     return settings.model_copy(update={"server": settings.server.model_copy(update=changes)})
 

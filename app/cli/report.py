@@ -168,7 +168,6 @@ def _check_output_paths(page: Path, data: Path) -> None:
 
 
 def _print_summary(report_result: "Report", page: Path, data: Path) -> None:
-    """Print the most important figures; the page has all."""
     from estimator.studies.html_page import format_value
 
     found, looks, console = report_result.statistics, report_result.tissue_styles, Console()

@@ -143,7 +143,6 @@ for entry in STUDIES.values():
 def _run_study(
     study: StudyDefinition, bench: "StudyConditions", grasps: int, seed: int, jobs: int | None
 ) -> "StudyResult":
-    """Carry out a study, and show its progress."""
     with _ProgressDisplay(study.name) as progress:
         return study.run(bench, grasps, seed, progress, jobs)
 

@@ -172,7 +172,7 @@ def read_common_configuration(files: Sequence[Path]) -> tuple[TissueLibrary, Set
 
 
 def _make_titles(files: Sequence[Path]) -> dict[Path, str]:
-    """Return a title for each file: its name, or its path if two names are the same."""
+    """Return file names as titles, or paths where names are the same."""
     names = [path.name for path in files]
     return {path: path.name if names.count(path.name) == 1 else str(path) for path in files}
 

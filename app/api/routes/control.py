@@ -59,7 +59,7 @@ async def take(request: Request, body: Annotated[ControlRequest, Body()]) -> Con
     responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
 async def give_back(request: Request) -> ControlInfo:
-    """Release control. It is refused if another user has control, and changes nothing if nobody has."""
+    """Release control. It is refused if another user has control, and changes nothing if control is free."""
     name, station = _require_user_name(request), _get_tool_service(request)
     if not station.release_control(name) and station.control_lease.holder:
         raise ProblemError(

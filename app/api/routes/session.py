@@ -55,7 +55,6 @@ async def sign_out(request: Request, response: Response) -> None:
 
 
 def _end_browser_session(request: Request) -> None:
-    """End the session of the request's cookie, if it has one."""
     guard, who = _get_authenticator(request), get_user(request)
     if who and who.session_hash:
         guard.browser_sessions.end(who.session_hash)

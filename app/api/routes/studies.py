@@ -20,7 +20,7 @@ from estimator.studies.html_page import CONTENT_SECURITY_POLICY
 router = APIRouter(prefix="/api/studies", tags=["studies"])
 STUDY_NOT_FOUND_RESPONSE = {404: {"description": "No such study, or nothing to show yet", **PROBLEM_RESPONSE}}
 
-# The sandbox gives the page its own origin, so that its script cannot command the tool as the signed-in user.
+# The sandbox gives the page an origin of its own, so that its script cannot send commands to the service.
 REPORT_POLICY = f"{CONTENT_SECURITY_POLICY}; sandbox allow-scripts allow-downloads"
 
 
