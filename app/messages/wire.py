@@ -1,7 +1,7 @@
 """The whole contract with browsers and programs: WebSocket messages, REST bodies, and the binary sample frame.
 
-`/api/live` sends one `Hello`, then JSON messages and binary sample frames. For a slow viewer, it
-drops the oldest frames, but never a message. A viewer answers each frame with `FrameReceived`.
+`/api/live` sends one `Hello`, then JSON messages and binary sample frames. For a slow viewer, it drops the
+oldest frames, but never a message. A viewer answers each frame with `FrameReceived`.
 `/api/recordings/{name}/replay` sends the same for a recording, and a `ReplayState` at every change and ten times a
 second. It obeys `ReplayControl`; after a jump it begins again with a `Hello`.
 
