@@ -70,7 +70,7 @@ class RunState(StrEnum):
 
 
 class Role(StrEnum):
-    """What a token permits; each role includes the roles before it."""
+    """The permissions of a token; each role includes the roles before it."""
 
     VIEWER = "viewer"
     """May watch and press STOP."""
@@ -446,7 +446,7 @@ class Result(StrEnum):
 
 
 class FileCondition(StrEnum):
-    """Whether a recording is complete."""
+    """The completeness of a recording."""
 
     COMPLETE = "complete"
     RECOVERED = "recovered"

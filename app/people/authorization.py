@@ -56,7 +56,7 @@ def require_role(role: Role) -> object:
 
 
 def get_user(connection: HTTPConnection) -> AuthenticatedUser | None:
-    """Return the user of a request; None if unknown."""
+    """Return the user of a request, None if unknown."""
     return connection.state.who
 
 

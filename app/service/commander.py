@@ -11,7 +11,7 @@ from config.errors import RefusedError, ServiceError
 
 ANSWER_TIMEOUT_S = 0.5
 MAX_LATE_STOPS, LATE_STOP_TIMEOUT_S = 20, 10.0
-"""How many stops wait for a worker that is held up, and how long: it obeys them even after their callers gave up."""
+"""Limits for stops that wait for a worker that is held up; it obeys them even after their callers gave up."""
 
 
 class Commander:
