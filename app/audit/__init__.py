@@ -1,1 +1,1 @@
-"""Who did what: the journal, its hash chain, its check and its export."""
+"""The audit trail: the journal, its hash chain, its check and its export."""

@@ -1,7 +1,7 @@
-"""Whether the journal is as it was written: by its own chain, and by what others know of it.
+"""The check that the journal is as it was written, by its own chain and by checkpoints elsewhere.
 
-The chain alone gives away every change but one: its end may be missing. That is seen by who has heard the lines when
-they were written: the index, and each recording, which holds those told while it was made.
+The chain alone reveals every change except a missing end. Checkpoints reveal that too: the index holds the lines as
+they were written, and each recording holds those written while it was made.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ from app.messages.wire import JournalCheck
 
 @dataclass(frozen=True, slots=True)
 class ChainCheckpoint:
-    """Somebody who heard a line when it was written, and knows it still."""
+    """A journal line as the index or a recording (`source`) stored it when it was written."""
 
     source: str
     chain: str
@@ -27,23 +27,24 @@ class ChainCheckpoint:
 
 
 class _ChainBrokenError(Exception):
-    """The first place that is not as it was written."""
+    """The first place in the journal that is not as it was written."""
 
 
 @dataclass(slots=True)
 class ChainVerifier:
-    """Along all lines in order; what it has found so far."""
+    """The check of all lines in order, with its findings so far."""
 
     last_link: ChainLink | None = None
     hashes: dict[int, str] = field(default_factory=dict)
     unchained_lines: int = 0
     notes: list[str] = field(default_factory=list)
-    _unparsed_line: tuple[str, str, bool] | None = None  # a line that is none: where, its hash, whether it has an end
+    _unparsed_line: tuple[str, str, bool] | None = None  # place, hash, whether it ends with a newline
 
     def verify_file(self, path: Path) -> None:
-        """
+        """Check the lines of the next file.
+
         Raises:
-            _Broken: it is not as it was written.
+            _ChainBrokenError: a line is not as it was written.
         """
         before = hashlib.sha256()
         for number, line in enumerate(read_journal_lines(path), 1):
@@ -65,7 +66,7 @@ class ChainVerifier:
         self.hashes[link.number] = link.hash
 
     def _verify_link(self, link: ChainLink, place: str, before: str) -> None:
-        """Compare a line's place with the one that is due."""
+        """Compare a line's place in the chain with the place that is due."""
         if self._unparsed_line and (link.torn != self._unparsed_line[1] or link.begins):
             raise _ChainBrokenError(_changed_line_text(self._unparsed_line[0]))
         if link.torn and not self._unparsed_line:
@@ -93,9 +94,10 @@ class ChainVerifier:
             raise _ChainBrokenError(f"{place}: the line before was exchanged for another one")
 
     def finish(self) -> None:
-        """
+        """Check the end of the last file.
+
         Raises:
-            _Broken: its last line is not as it was written.
+            _ChainBrokenError: its last line is not as it was written.
         """
         if self._unparsed_line and self._unparsed_line[2]:
             raise _ChainBrokenError(_changed_line_text(self._unparsed_line[0]))
@@ -106,10 +108,10 @@ class ChainVerifier:
 def check_journal(
     data: Path, index_checkpoints: Iterable[ChainCheckpoint], recording_checkpoints: Iterable[ChainCheckpoint] = ()
 ) -> JournalCheck:
-    """Follow the chain of a data folder's journal from its beginning to its end.
+    """Check the whole journal of a data folder.
 
-    Ask the witnesses before: what is written meanwhile stands in the journal first. Those of the index are of this
-    journal; recordings may have been brought here from elsewhere.
+    Read the checkpoints before this call: a line written later is in the journal before it is in a checkpoint. The
+    checkpoints of the index belong to this journal; recordings may come from elsewhere.
 
     Raises:
         JournalError: a file cannot be read.
@@ -144,9 +146,10 @@ def check_journal(
 def _compare_checkpoints(
     verifier: ChainVerifier, index_checkpoints: list[ChainCheckpoint], recording_checkpoints: list[ChainCheckpoint]
 ) -> None:
-    """
+    """Compare the journal with the checkpoints.
+
     Raises:
-        _Broken: a line that somebody knows is missing, or is another one.
+        _ChainBrokenError: the line of a checkpoint is missing or different.
     """
     ours = [each for each in recording_checkpoints if verifier.last_link and each.chain == verifier.last_link.chain]
     for known in sorted([*index_checkpoints, *ours], key=lambda each: each.number):

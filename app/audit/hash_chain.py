@@ -1,7 +1,7 @@
-"""The chain of the journal: each line ends with its own hash and names that of the line before.
+"""The journal's hash chain: each line ends with its own hash and holds the hash of the line before.
 
-So nothing in between can be changed, removed or put in without every later line giving it away. The hash is of the
-bytes as they stand in the file; nobody has to write a line anew to check it.
+So no line can be changed, removed or inserted without a mismatch in a later line. The hash covers the bytes in the
+file, so that a check need not serialize a line again.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ def sha256_hex(content: bytes) -> str:
 
 
 def seal_entry(entry: JournalEntry, chain: str, number: int, after: str | None) -> tuple[bytes, JournalEntry]:
-    """The line of an entry at its place, without its end of line, and the entry as it stands there."""
+    """Return an entry's line at its place in the chain, without newline, and the entry with its chain fields."""
     placed = entry.model_copy(update={"chain": chain, "number": number, "after": after})
     body = placed.to_line().encode()[:-1]
     own = sha256_hex(body)
@@ -40,7 +40,7 @@ def seal_entry(entry: JournalEntry, chain: str, number: int, after: str | None) 
 
 
 def parse_link(line: bytes) -> ChainLink | None:
-    """A line's place; None for what is no line of a chain, or was changed."""
+    """Return a line's place in its chain; None if it is not chained or was changed."""
     line = line.removesuffix(NEW_LINE)
     body, own = line[:-_HASH_SUFFIX_BYTES], sha256_hex(line[:-_HASH_SUFFIX_BYTES])
     if line[len(body) :] != _HASH_SUFFIX % own.encode():
@@ -48,5 +48,10 @@ def parse_link(line: bytes) -> ChainLink | None:
     try:
         said = json.loads(body + b"}")
         return ChainLink(said["chain"], said["number"], said.get("after"), said.get("begins"), said.get("torn"), own)
-    except (ValueError, LookupError, TypeError, RecursionError):  # somebody has hashed something else
+    except (
+        ValueError,
+        LookupError,
+        TypeError,
+        RecursionError,
+    ):  # the hash is right, but the content is no journal line
         return None

@@ -1,4 +1,4 @@
-"""What happened and who did it: one line of JSON each in `journal.jsonl`, the last ones also in memory."""
+"""The journal of events and requests: JSON lines in `journal.jsonl`, the newest also in memory."""
 
 import asyncio
 import logging
@@ -17,15 +17,15 @@ logger = logging.getLogger("graspwatch")
 
 
 class Journal:
-    """Appends to a file. A file that cannot be written is told once; the lines wait in memory until it can be.
+    """A writer of the journal. If the file cannot be written, it reports that once and keeps the lines in memory.
 
-    Every line is on the disk soon after it is written; `synced` waits for it.
+    Every line is on the disk soon after it is written; `wait_until_synced` waits for that.
     """
 
     def __init__(
         self, folder: Path, on_fault: Callable[[str | None], None], on_entry: Callable[[JournalEntry], None]
     ) -> None:
-        """`on_fault` hears what is wrong with the file, and None once it can be written; `on_entry` every line."""
+        """`on_fault` receives the file's error, or None once it can be written again; `on_entry` each entry."""
         self._file = JournalFile(folder)
         self._on_fault, self._on_entry = on_fault, on_entry
         self._file_writable = True
@@ -35,7 +35,7 @@ class Journal:
         self._sync_future: Future[None] | None = None
 
     def write(self, kind: JournalKind, text: str, **fields: Any) -> bool:
-        """`facts`: other fields of `JournalEntry`. False: it is not in the file."""
+        """Write an entry; `fields` are further fields of `JournalEntry`. Return False if the file cannot be written."""
         entry = JournalEntry(at=datetime.now(UTC).isoformat(timespec="microseconds"), kind=kind, text=text, **fields)
         logger.info(text, extra={"kind": kind.value, "by": entry.by})
         self._unwritten.append(entry)
@@ -53,7 +53,7 @@ class Journal:
         return fault is None
 
     def _write_pending(self) -> None:
-        """Lines that had to wait are told of again, now with their place in the journal."""
+        """Write waiting entries to the file; each replaces its copy in memory, which had no place in the chain."""
         while self._unwritten:
             for placed in self._file.append(self._unwritten[0]):
                 self._add_entry(placed)
@@ -75,7 +75,7 @@ class Journal:
         by: str | None = None,
         reason: str | None = None,
     ) -> bool:
-        """Who did, or wanted, what, from where, and what came of it. False: it is not in the file."""
+        """Write an entry about a request and its result. Return False if the file cannot be written."""
         facts = {"action": action, "client": client, "by": by, "reason": reason}
         words = {name: _replace_unencodable(each) for name, each in facts.items() if each is not None}
         return self.write(
@@ -83,11 +83,11 @@ class Journal:
         )
 
     def newest_entries(self, limit: int) -> list[JournalEntry]:
-        """Newest first."""
+        """Return the newest entries, newest first."""
         return list(self._entries)[: -limit - 1 : -1]
 
     async def wait_until_synced(self) -> bool:
-        """Wait until everything so far is on the disk; False: it is not."""
+        """Wait until all entries are on the disk; return False if that fails."""
         if self._unwritten:
             return False
         try:
@@ -98,10 +98,10 @@ class Journal:
         return True
 
     def _schedule_sync(self) -> None:
-        """What is written while one waits for its turn goes with it: a burst of lines costs two.
+        """Schedule a sync, unless one waits that will include the newest line: a burst of lines costs two syncs.
 
         Raises:
-            OSError: the one before could not bring the lines to the disk.
+            OSError: the sync before failed.
         """
         before = self._sync_future
         if before and not before.running() and not before.done():
@@ -112,5 +112,5 @@ class Journal:
 
 
 def _replace_unencodable(text: str) -> str:
-    """A request may hold halves of characters, which no file takes."""
+    """Replace the lone surrogates that a request may hold, because UTF-8 cannot encode them."""
     return text.encode(errors="replace").decode()

@@ -1,4 +1,4 @@
-"""The journal for others: its lines as they stand, or a table."""
+"""The export of the journal, as its own lines or as a table."""
 
 import csv
 import io
@@ -33,7 +33,7 @@ FORMULA_PREFIXES = ("=", "+", "-", "@", "\t", "\r")
 
 
 class JournalFormat(StrEnum):
-    """`jsonl` can be checked again: its lines are those of the journal, byte for byte."""
+    """The format of an export. `jsonl` keeps the lines byte for byte, so that their chain can be checked."""
 
     CSV = "csv"
     JSONL = "jsonl"
@@ -41,7 +41,7 @@ class JournalFormat(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class JournalFilter:
-    """Which lines; None: any. Moments without a zone are UTC."""
+    """A filter of journal lines; None matches any. Times without a zone are UTC."""
 
     since: datetime | None = None
     until: datetime | None = None
@@ -57,7 +57,7 @@ class JournalFilter:
 
 
 def export_lines(data: Path, journal_filter: JournalFilter, journal_format: JournalFormat) -> Iterator[bytes]:
-    """Lines, oldest first; what cannot be read as one is left out (`graspwatch audit verify` tells of it).
+    """Yield the matching lines, oldest first, without unreadable ones (`graspwatch audit verify` reports those).
 
     Raises:
         JournalError: a file cannot be read.
@@ -84,7 +84,7 @@ def _csv_cells(entry: JournalEntry) -> list[str]:
 
 
 def _escape_formula(value: object) -> str:
-    """Names and reasons come from anybody: a spreadsheet must not take them for formulas."""
+    """Return a cell that no spreadsheet takes for a formula: clients choose names and reasons freely."""
     if value is None:
         return ""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_PREFIXES) else str(value)

@@ -1,4 +1,4 @@
-"""The file of the journal: only ever appended to, by any number of programs at once, each line in its place."""
+"""The journal's file, to which several programs may append at once, each line in its place in the chain."""
 
 import contextlib
 import errno
@@ -18,7 +18,7 @@ from app.messages.wire import JournalEntry, JournalKind
 from config.errors import JournalError
 
 MAX_LINE_BYTES = 2**20  # a line has a few thousand
-LOCK_TIMEOUT_S = 0.1  # for another program that is writing; the event loop waits meanwhile
+LOCK_TIMEOUT_S = 0.1  # short, because the event loop waits while another program writes
 READ_CHUNK_BYTES = 2**20
 CHAIN_BEGIN_TEXT = "The chain of the journal begins"
 
@@ -29,13 +29,13 @@ class JournalFile:
     def __init__(self, folder: Path) -> None:
         self.path = folder / "journal.jsonl"
         self._last_link: ChainLink | None = None
-        self._last_file_state: tuple[int, int] | None = None  # the file and its size as this program left it
+        self._last_file_state: tuple[int, int] | None = None  # inode and size after this program's last write
 
     def append(self, entry: JournalEntry) -> list[JournalEntry]:
-        """Write one entry; returns what was written: before it there may be a word of the journal about itself.
+        """Append an entry; return the written entries, among which a note about the chain may precede it.
 
         Raises:
-            OSError: it cannot be written; a part of the line may be, which the next one tells of.
+            OSError: the line cannot be written in full; if a part was, a note before the next line says so.
         """
         written = []
         with self._locked() as file:
@@ -52,10 +52,10 @@ class JournalFile:
         return written
 
     def sync(self) -> None:
-        """Wait until all that was written is on the disk.
+        """Wait until all written lines are on the disk.
 
         Raises:
-            OSError: it cannot be.
+            OSError: the sync failed.
         """
         for path, flags in ((self.path, os.O_RDONLY), (self.path.parent, os.O_RDONLY | os.O_DIRECTORY)):
             file = os.open(path, flags | os.O_CLOEXEC)
@@ -66,7 +66,7 @@ class JournalFile:
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[int]:
-        """The file, open and for this program alone."""
+        """Open the file and lock it for this program."""
         end_s = time.monotonic() + LOCK_TIMEOUT_S
         while (file := self._try_lock()) is None:
             if time.monotonic() > end_s:
@@ -78,7 +78,7 @@ class JournalFile:
             os.close(file)
 
     def _try_lock(self) -> int | None:
-        """None: another program writes, or the file was rotated away just now."""
+        """Open and lock the file; return None if another program writes, or the file was just rotated away."""
         file = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -93,7 +93,7 @@ class JournalFile:
         return None
 
     def _recover_chain(self, file: int, at: str) -> list[JournalEntry]:
-        """Find out where the chain stands, unless it is known; what has to be said about it first."""
+        """Find the chain's last link if it is not known; return a note that must precede the next line, if any."""
         if self._last_file_state == _read_file_state(file):
             return []
         whole, fragment = _read_last_lines(file)
@@ -105,7 +105,7 @@ class JournalFile:
         elif not last:
             return [_chain_start_entry(file, at, has_end=not fragment)]
         if self._last_link and (last is None or self._last_link.number > last.number):
-            last = self._last_link  # somebody shortened the file: what is missing now has to show
+            last = self._last_link  # the file was shortened: the gap in the numbers must show that
         if last is None:
             return [_chain_start_entry(file, at, has_end=not fragment)]
         self._last_link = last
@@ -113,13 +113,13 @@ class JournalFile:
         return [_chain_entry(at, text, torn=sha256_hex(torn))] if torn else []
 
     def _missing_newline(self, file: int) -> bytes:
-        """What a line needs before it where the one before has no end."""
+        """Return a newline if the file's last line has none."""
         size = os.fstat(file).st_size
         return b"" if not size or os.pread(file, 1, size - 1) == NEW_LINE else NEW_LINE
 
 
 def find_journals(data: Path) -> list[Path]:
-    """The journal and what was rotated away (`journal.jsonl.1`, `.2.gz`), oldest first."""
+    """Return the journal and its rotated files (`journal.jsonl.1`, `.2.gz`), oldest first."""
 
     def age(path: Path) -> tuple[int, int]:
         link = next(_read_links(path), None)
@@ -129,16 +129,14 @@ def find_journals(data: Path) -> list[Path]:
 
 
 def read_journal_lines(path: Path) -> Iterator[bytes]:
-    """Of one file, with their ends.
+    """Yield the lines of a file, with their newlines.
 
     Raises:
-        JournalError: it cannot be read.
+        JournalError: the file cannot be read to its end.
     """
     try:
         with open_journal(path) as file:
-            while line := file.readline(
-                MAX_LINE_BYTES
-            ):  # a longer one is none of ours, and must not ask for all memory
+            while line := file.readline(MAX_LINE_BYTES):  # a longer line is not ours, and must not fill the memory
                 yield line
     except (OSError, EOFError, zlib.error) as error:
         raise JournalError(f"{path}: cannot be read to its end ({error}). Allow reading, or copy it again.") from None
@@ -149,7 +147,7 @@ def open_journal(path: Path) -> IO[bytes]:
 
 
 def _read_links(path: Path) -> Iterator[ChainLink]:
-    """Of all lines in a chain, as far as the file can be read."""
+    """Yield the links of all chained lines, as far as the file can be read."""
     with contextlib.suppress(OSError, EOFError, zlib.error), open_journal(path) as file:
         while line := file.readline(MAX_LINE_BYTES):
             if link := parse_link(line):
@@ -157,7 +155,7 @@ def _read_links(path: Path) -> Iterator[ChainLink]:
 
 
 def _chain_start_entry(file: int, at: str, *, has_end: bool) -> JournalEntry:
-    """The first word of a chain; it vouches for what stands before it."""
+    """Build the first entry of a chain, with the hash of everything before it in the file."""
     before, place, chained = hashlib.sha256(), 0, False
     while piece := os.pread(file, READ_CHUNK_BYTES, place):
         before.update(piece)
@@ -191,14 +189,14 @@ def _read_file_state(file: int) -> tuple[int, int]:
 
 
 def _read_last_lines(file: int) -> tuple[bytes, bytes]:
-    """The last line with an end, and what stands after it without one."""
+    """Return the last complete line, and the unfinished one after it."""
     size = os.fstat(file).st_size
     *before, fragment = os.pread(file, MAX_LINE_BYTES, max(size - MAX_LINE_BYTES, 0)).split(NEW_LINE)
     return before[-1] if before else b"", fragment
 
 
 def _find_newest_link(rotated: Iterable[Path]) -> ChainLink | None:
-    """Where the chain stands at the end of the files that were rotated away."""
+    """Return the newest link in the rotated files."""
     links = (link for path in rotated for link in _read_links(path))
     return max(links, key=lambda link: link.number, default=None)
 

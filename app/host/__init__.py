@@ -1,1 +1,1 @@
-"""What this computer gives: clock, disk, logs, processes."""
+"""Services of the computer: clock, disk, logs, recordings bin and background processes."""

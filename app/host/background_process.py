@@ -1,5 +1,7 @@
-"""Long work in a process of its own: it gives way to a live tool, and ends with all its children when it is told to and
-when the service ends, however that ends."""
+"""Background processes for long work, with low priority so that they do not slow a live tool.
+
+Such a process ends with its children when its task is canceled, or when the service ends in any way.
+"""
 
 import asyncio
 import contextlib
@@ -16,7 +18,7 @@ from acquisition.worker_process import initialize_worker, start_child_process
 from config.errors import GraspwatchError, ServiceError
 
 NICENESS = 10
-DONE_MESSAGE = None  # a process's last word
+DONE_MESSAGE = None  # a process's last message
 
 SendMessage = Callable[[Any], None]
 
@@ -24,13 +26,13 @@ SendMessage = Callable[[Any], None]
 async def run_in_background_process(
     name: str, work: Callable[..., None], *arguments: Any, on_message: SendMessage, advice: str
 ) -> None:
-    """Run `work(tell, *arguments)` in a process called `name`; hand what it tells to `told` as it comes.
+    """Run `work(send, *arguments)` in a process called `name`, and pass each message that it sends to `on_message`.
 
-    Cancelling ends the process and its children at once; nothing they hold needs an orderly end.
+    Cancellation kills the process and its children at once, because none of them needs an orderly end.
 
     Raises:
-        GraspwatchError: the same that `work` raised.
-        ServiceError: the process failed or died; the text closes with `advice`.
+        GraspwatchError: the error that `work` raised.
+        ServiceError: the process died (the text ends with `advice`), or a file could not be read or written.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
@@ -58,14 +60,14 @@ async def run_in_background_process(
         for source in (ours.fileno(), process.sentinel):
             loop.remove_reader(source)
         ours.close()
-        process.kill()  # it may not have become a group yet: then it has no children either
+        process.kill()  # in case it has no group of its own yet, and so no children
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)  # also children that outlived it
         await asyncio.to_thread(process.join)
 
 
 async def _receive(pipe: Connection, process: BaseProcess, arrived: asyncio.Event) -> Any:
-    """Raises EOFError once the process is dead; its children may keep the pipe open beyond that."""
+    """Wait for a message; raise EOFError once the process is dead, even if its children keep the pipe open."""
     while not pipe.poll():
         if not process.is_alive() and not pipe.poll():
             raise EOFError
@@ -91,16 +93,16 @@ def _process_main(
 
 
 def _lower_priority(name: str, service_pid: int) -> None:
-    """Low priority, and one group with all children to come, which ends when the service has ended.
+    """Lower the priority, and form a process group with all future children, which ends when the service ends.
 
-    A group and not a session: between sessions Linux may share the processor evenly, whatever their niceness
-    (autogroups, sched(7)). Of its own: a terminal's Ctrl+C is for the service, which ends this process itself.
+    It is a group and not a session, because Linux may share the processor evenly between sessions, whatever their
+    niceness (autogroups, sched(7)). A terminal's Ctrl+C does not reach the group: the service itself kills it.
     """
     os.setpgid(0, 0)
     os.nice(NICENESS)
     flag = initialize_worker(name, service_pid)
     signal.signal(signal.SIGTERM, _kill_process_group)
-    if flag.is_set:  # it was to end before the line above
+    if flag.is_set:  # the signal came before the line above
         _kill_process_group()
 
 

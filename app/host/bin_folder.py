@@ -1,6 +1,6 @@
-"""The bin: recordings that were deleted, kept for a while beside the others.
+"""The bin, which keeps deleted recordings for a while.
 
-Each lies in a folder of its own that is called after the moment of its deletion, so its age is known without an index.
+Each is in a folder of its own, named after the time of its deletion, so that its age is known without an index.
 """
 
 import logging
@@ -13,14 +13,14 @@ from pathlib import Path
 
 from config.errors import RefusedError
 
-BIN_FOLDER = "bin"  # in the recordings folder: the same disk, so that nothing is copied
+BIN_FOLDER = "bin"  # in the recordings folder, on the same disk, so that a move copies nothing
 _ENTRY_TIME_FORMAT = "%Y%m%dT%H%M%S%fZ"
 _ENTRY_PATTERN = re.compile(r"\d{8}T\d{12}Z")
 
 
 @dataclass(frozen=True, slots=True)
 class BinnedFile:
-    """A deleted recording. `entry` is its name in the bin, `name` the one that it had."""
+    """A deleted recording. `entry` is its name in the bin, `name` its original name."""
 
     entry: str
     path: Path
@@ -33,7 +33,7 @@ class BinnedFile:
 
     @property
     def deleted_at_iso(self) -> str:
-        """As the index has it."""
+        """Time of deletion in the index's format."""
         return format_iso(self.deleted_at)
 
 
@@ -42,17 +42,17 @@ def format_iso(moment: datetime) -> str:
 
 
 class BinFolder:
-    """That of a recordings folder. Blocks; every method may raise OSError."""
+    """The bin of a recordings folder. Its methods block, and each may raise OSError."""
 
     def __init__(self, recordings: Path) -> None:
         self._recordings, self._folder = recordings, recordings / BIN_FOLDER
 
     def list_files(self) -> list[BinnedFile]:
-        """What is in it, deleted last first."""
+        """Return the deleted recordings, last deleted first."""
         return sorted(self._iterate_files(), key=lambda file: file.entry, reverse=True)
 
     def add(self, path: Path, at: datetime) -> None:
-        """Move a recording into the bin; `at` is the moment of its deletion."""
+        """Move a recording into the bin; `at` is the time of its deletion."""
         place = self._folder / f"{at.astimezone(UTC):{_ENTRY_TIME_FORMAT}}"
         place.mkdir(parents=True)
         try:
@@ -62,7 +62,8 @@ class BinFolder:
             raise
 
     def find(self, entry: str) -> BinnedFile:
-        """
+        """Return the deleted recording with this entry name.
+
         Raises:
             RefusedError: there is no such entry.
         """
@@ -72,10 +73,10 @@ class BinFolder:
         raise RefusedError(f"There is no entry {entry!r} in the bin. GET /api/bin lists them.", "entry")
 
     def restore(self, file: BinnedFile) -> Path:
-        """Move it back; where to.
+        """Move a recording back and return its path.
 
         Raises:
-            RefusedError: there is a recording of its name.
+            RefusedError: another recording has its name.
         """
         path = self._recordings / file.name
         if os.path.lexists(path):
@@ -85,7 +86,6 @@ class BinFolder:
         return path
 
     def delete_permanently(self, file: BinnedFile) -> None:
-        """For good."""
         file.path.unlink(missing_ok=True)
         file.path.parent.rmdir()
 
@@ -97,10 +97,10 @@ class BinFolder:
                 at = datetime.strptime(place.name, _ENTRY_TIME_FORMAT).replace(tzinfo=UTC)
                 for path in place.iterdir():
                     yield BinnedFile(place.name, path, at, path.lstat().st_size)
-            except (OSError, ValueError) as error:  # it went meanwhile, or is called after no moment at all
+            except (OSError, ValueError) as error:  # it was removed meanwhile, or its name is no valid time
                 logging.getLogger("graspwatch").info("the bin's %s is passed over: %s", place.name, error)
 
 
 def find_expired(files: list[BinnedFile], keep_days: float, now: datetime) -> list[BinnedFile]:
-    """Those that were deleted more than `keep_days` ago."""
+    """Return the files that were deleted more than `keep_days` ago."""
     return [file for file in files if now - file.deleted_at > timedelta(days=keep_days)]

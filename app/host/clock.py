@@ -1,4 +1,4 @@
-"""The service's clock: milliseconds since 1970, never stepped."""
+"""The service's clock: milliseconds since 1970, without steps when the system's time is set."""
 
 import time
 
@@ -10,5 +10,5 @@ def now_ms() -> float:
 
 
 def monotonic_to_wall_ms(t_mono_ns: int) -> float:
-    """A moment of `time.monotonic_ns` on this clock."""
+    """Convert a time of `time.monotonic_ns` to this clock."""
     return t_mono_ns / 1e6 + WALL_CLOCK_OFFSET_MS

@@ -1,11 +1,11 @@
-"""Room on the disk."""
+"""Free disk space."""
 
 import shutil
 from pathlib import Path
 
 
 def free_bytes(folder: Path) -> int | None:
-    """Of the disk of a folder; None where the folder is gone."""
+    """Return the free space on a folder's disk; None if the folder is missing."""
     try:
         return shutil.disk_usage(folder).free
     except OSError:

@@ -1,7 +1,7 @@
-"""What the service logs: to the error output, and as JSON lines to files in the data folder.
+"""The service's logs: on the error output, and as JSON lines in files of the data folder.
 
-Each target has a thread of its own: an error output that nobody reads, or a slow disk, must hold nobody up. Every line
-says which run and which grasp it belongs to, if there is one.
+Each target has a thread of its own, so that an unread error output or a slow disk cannot block the service. Every line
+names its run and grasp, if there are any.
 """
 
 import logging
@@ -25,14 +25,14 @@ LOG_FOLDER, LOG_FILE = "logs", "graspwatch.jsonl"
 
 @dataclass(slots=True)
 class LogContext:
-    """What is under way, for the lines that are logged meanwhile."""
+    """The run and grasp under way, which every log line names."""
 
     run: str | None = None
     grasp: int | None = None
 
 
 class QueuedLogHandler(logging.Handler):
-    """A paused terminal or a full pipe blocks whoever writes to it; here that is a thread, and lines are dropped."""
+    """A handler that writes in a thread. If a paused terminal or full pipe blocks the thread, it drops lines."""
 
     def __init__(self, target: logging.Handler, level: int, log_context: LogContext) -> None:
         super().__init__(level)
@@ -42,8 +42,8 @@ class QueuedLogHandler(logging.Handler):
         threading.Thread(target=self._write_loop, name="logs", daemon=True).start()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Take a line, or count it where there are too many."""
-        record.msg, record.args = record.getMessage(), None  # as it is now
+        """Queue a line, or count it as dropped if the queue is full."""
+        record.msg, record.args = record.getMessage(), None  # arguments may change before the thread formats them
         record.run, record.grasp = self._log_context.run, self._log_context.grasp
         try:
             self._records.put_nowait(record)
@@ -51,7 +51,7 @@ class QueuedLogHandler(logging.Handler):
             self._dropped += 1
 
     def close(self) -> None:
-        """Wait for the last lines, but not for long."""
+        """Wait for the last lines for at most FLUSH_TIMEOUT_S."""
         end_s = time.monotonic() + FLUSH_TIMEOUT_S
         while self._records.unfinished_tasks and time.monotonic() < end_s:
             time.sleep(0.01)
@@ -68,14 +68,14 @@ class QueuedLogHandler(logging.Handler):
 
 
 class _SilentRotatingFileHandler(RotatingFileHandler):
-    """A full disk is told by an alarm; here its lines are lost."""
+    """A file handler that silently loses lines on a full disk, for which there is an alarm."""
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Nothing."""
+        """Ignore the error."""
 
 
 def configure_logging(settings: LogSettings, data: Path, log_context: LogContext) -> None:
-    """From here on, for the whole process; lines are about what `about` says when they are logged."""
+    """Set up logging for the whole process. Each line names the run and grasp in `log_context` at that time."""
     fields = ("levelname", "name", "message", "run", "grasp")
     as_json = JsonFormatter(fields, timestamp="at", rename_fields={"levelname": "level", "name": "logger"})
     as_text = logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")

@@ -1,1 +1,1 @@
-"""How requests arrive, and how errors go back."""
+"""HTTP: connections, request origins, rate limits, the audit of requests, and error responses."""

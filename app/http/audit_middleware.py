@@ -1,7 +1,7 @@
-"""Who asked for what, from where, and what came of it: a line of the journal for each request for a change.
+"""Middleware that writes a journal line for each request for a change: requester, action, client and result.
 
-It is noted here for all routes at once, so that none can be forgotten. A route may say better what is asked for, and
-who asks, with `note_deed`; a reading request that changes something all the same notes itself with `Journal.deed`.
+It serves all routes, so that none can be forgotten. A route may describe action and requester better with
+`note_request`. A GET request that changes something calls `Journal.write_request` itself.
 """
 
 import json
@@ -16,26 +16,28 @@ from app.http.methods import SAFE_METHODS
 from app.http.request_origin import forwarded_headers
 from app.messages.wire import Result
 
-MAX_BODY_BYTES = 20_000  # enough for whose name is in a request, and for why it was refused
-MAX_NAME_LENGTH, MAX_REASON_LENGTH, MAX_CLIENT_LENGTH = 40, 500, 200  # what is said may be of any length
+MAX_BODY_BYTES = 20_000  # enough for the requester's name and for the reason of a refusal
+MAX_NAME_LENGTH, MAX_REASON_LENGTH, MAX_CLIENT_LENGTH = 40, 500, 200  # clients may send texts of any length
 
 
 def note_request(request: HTTPConnection, *, description: str | None = None, by: str | None = None) -> None:
-    """Say in a request's line of the journal what it asks for (`Start run sine`), and who asks where that is known for
-    sure: else it is whom the request names."""
+    """Set the action (`Start run sine`) and the verified requester for a request's journal line.
+
+    Without `by`, the line names the signed-in user, else the name in the request.
+    """
     said = {"what": description, "by": by}
     request.state.deed = getattr(request.state, "deed", {}) | {name: each for name, each in said.items() if each}
 
 
 def describe_client(request: HTTPConnection) -> str:
-    """From where a request comes; what a proxy says of that may be wrong, and is marked as said."""
+    """Return a request's address; the claims of a proxy may be wrong and follow in parentheses."""
     host = request.client.host if request.client else "unknown"
     said = [f"{name}: {value}" for name, value in forwarded_headers(request)]
     return (f"{host} ({'; '.join(said)})" if said else host)[:MAX_CLIENT_LENGTH]
 
 
 class AuditMiddleware:
-    """Middleware: notes what came of each request once it has been answered."""
+    """ASGI middleware that writes a request and its result to the journal once it is answered."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -71,7 +73,7 @@ def _write_journal_entry(
 ) -> None:
     route = request.scope.get("route")
     if route is None and status is not HTTPStatus.FORBIDDEN:
-        return  # nothing is there that could have been changed, or the gate knows nobody, and says so itself
+        return  # no such route, or AuthMiddleware refused an unknown user; it logs wrong tokens itself
     journal: Journal = request.app.state.station.journal
     deed = getattr(request.state, "deed", {})
     name = route.name if route else str(request.scope["method"])
@@ -93,13 +95,13 @@ def _write_journal_entry(
 
 
 def _signed_in_name(request: HTTPConnection) -> str | None:
-    """Whom the gate knows; what else a request says of that does not count then."""
+    """Return the user that AuthMiddleware found, who takes precedence over any name in the request."""
     who = getattr(request.state, "who", None)
     return who.name if who else None
 
 
 def _claimed_name(request: HTTPConnection, request_body: bytes) -> str | None:
-    """Whom a request names, in its query or its body."""
+    """Return the name that the request gives in its query or body."""
     name = request.query_params.get("by") or _json_field(request_body, "by")
     return name[:MAX_NAME_LENGTH] if isinstance(name, str) and name.strip() else None
 

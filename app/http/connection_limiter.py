@@ -1,4 +1,4 @@
-"""How many connections the service keeps, and for how long it waits for a handshake."""
+"""Limits on the number of connections and on the time of their handshakes."""
 
 import asyncio
 import resource
@@ -16,7 +16,7 @@ BAD_HANDSHAKE_RESPONSE = b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\nConn
 
 
 class TlsTimeoutEventLoop(asyncio.SelectorEventLoop):
-    """Whoever connects and does not end the handshake of TLS is not waited for: he is in no list of connections yet."""
+    """An event loop that ends slow TLS handshakes: those connections are in no list that can be limited."""
 
     async def create_server(self, *arguments: Any, ssl: Any = None, **options: Any) -> asyncio.Server:
         timeout_s = TLS_HANDSHAKE_TIMEOUT_S if ssl else None
@@ -24,20 +24,23 @@ class TlsTimeoutEventLoop(asyncio.SelectorEventLoop):
 
 
 def raise_open_file_limit() -> None:
-    """As many as the system lets this process open: those in handshakes are to leave room for others."""
+    """Raise the limit of open files to the system's maximum, so that handshakes leave room for other connections."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 class LingeringWebSocketProtocol(WebSocketsSansIOProtocol):
-    """Lets the reason of a close arrive: with input unread, a connection that is closed is reset, and the peer sees
-    only that. What still comes is thrown away for a moment."""
+    """A WebSocket protocol that lets the reason of a close reach the peer.
+
+    A connection that is closed with unread input is reset, and the peer sees only the reset. Therefore the protocol
+    discards further input for a moment before it closes.
+    """
 
     def data_received(self, data: bytes) -> None:
         if self.conn.parser_exc is not None:
             return
         super().data_received(data)
-        if not self.handshake_initiated and self.conn.handshake_exc is not None:  # else it would never be answered
+        if not self.handshake_initiated and self.conn.handshake_exc is not None:  # would otherwise never be answered
             self.transport.write(BAD_HANDSHAKE_RESPONSE)
             self.transport.close()
 
@@ -50,10 +53,10 @@ class LingeringWebSocketProtocol(WebSocketsSansIOProtocol):
 
 
 def make_connection_limiter(max_connections: int) -> type:
-    """A protocol of connections of which no more than `most` are open.
+    """Return an HTTP protocol class that keeps at most `max_connections` open.
 
-    Beyond that, whoever has most of them loses one: first one without a request, then the oldest. So somebody who opens
-    thousands hurts himself, and a STOP gets through. WebSockets stay; the viewers have a bound of their own.
+    Beyond that, the client with the most connections loses one: an idle one first, then the oldest. So a client that
+    opens thousands only hurts itself, and a STOP gets through. WebSockets stay; viewers have a limit of their own.
     """
 
     class ConnectionLimiter(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
@@ -76,5 +79,5 @@ def make_connection_limiter(max_connections: int) -> type:
 
 
 def _is_busy(connection: Any) -> bool:
-    """Whether a request is being answered."""
+    """Return whether the connection is answering a request."""
     return connection.cycle is not None and not connection.cycle.response_complete

@@ -1,4 +1,4 @@
-"""The methods of HTTP: which change nothing, and HEAD."""
+"""The HTTP methods that change nothing, and the handling of HEAD."""
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -6,7 +6,7 @@ SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 
 
 class HeadAsGetMiddleware:
-    """Middleware: HEAD is answered as GET is; the server that runs the application leaves out the body (RFC 9110)."""
+    """Middleware that answers HEAD as GET; uvicorn leaves out the body (RFC 9110)."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

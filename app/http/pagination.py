@@ -1,4 +1,4 @@
-"""What is said of a page beside it: how many there are on all, and where the other pages are (RFC 8288)."""
+"""Headers of a page of results: the total number, and links to the other pages (RFC 8288)."""
 
 from urllib.parse import quote, urlencode
 
@@ -6,7 +6,7 @@ from fastapi import Request, Response
 
 
 def set_paging_headers(request: Request, response: Response, limit: int, offset: int, total: int) -> None:
-    """Set `X-Total-Count` and `Link`."""
+    """Set `X-Total-Count` and `Link` in the response."""
     pages = {"first": 0, "last": max(total - 1, 0) // limit * limit}
     if offset > 0:
         pages["prev"] = max(offset - limit, 0)
@@ -17,6 +17,6 @@ def set_paging_headers(request: Request, response: Response, limit: int, offset:
 
 
 def _page_url(request: Request, limit: int, offset: int) -> str:
-    """Without scheme and host, which a proxy may have changed."""
+    """Return the page's address without scheme and host, which a proxy may have changed."""
     asked = [(name, value) for name, value in request.query_params.multi_items() if name not in ("limit", "offset")]
     return f"{quote(request.scope['path'])}?{urlencode([*asked, ('limit', limit), ('offset', offset)])}"

@@ -15,7 +15,7 @@ PROBLEM_RESPONSE = {"content": {"application/problem+json": {"schema": Problem.m
 
 
 class ProblemError(Exception):
-    """A request that cannot be met; `field` names the part of the body at fault."""
+    """An error response to a request; `field` names the wrong part of the body."""
 
     def __init__(
         self, status: HTTPStatus, detail: str, field: str | None = None, headers: dict[str, str] | None = None
@@ -36,11 +36,11 @@ def _problem_response(
 
 
 def add_error_handlers(app: FastAPI) -> None:
-    """Answer every error of `app` as a problem."""
+    """Make `app` answer every error with problem details."""
 
     @app.exception_handler(ProblemError)
     async def on_problem(request: Request | WebSocket, error: ProblemError) -> JSONResponse | None:
-        if isinstance(request, WebSocket):  # one that was not accepted yet
+        if isinstance(request, WebSocket):  # not accepted yet
             await request.send_denial_response(error.response())
             return None
         return error.response()

@@ -1,21 +1,21 @@
-"""How often somebody may ask."""
+"""A rate limiter for requests."""
 
 import time
 from collections import OrderedDict
 from collections.abc import Callable
 
-MAX_CLIENTS = 10_000  # of those who ask: whoever has not asked for longest is forgotten first, and had his burst again
+MAX_CLIENTS = 10_000  # beyond that, the client idle for longest is forgotten; its bucket is full again by then
 
 
 class RateLimiter:
-    """A bucket of tokens for each who asks: it holds `burst` and gets `per_s` anew."""
+    """A token bucket for each client: it holds `burst` tokens and regains `rate_per_s`."""
 
     def __init__(self, rate_per_s: float, burst: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._rate_per_s, self._burst, self._clock = rate_per_s, burst, clock
         self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()  # how much there was, and when
 
     def consume_or_wait_s(self, key: str) -> float:
-        """0: he may, and it is counted. Otherwise how long he has to wait."""
+        """Consume a token of the client `key` and return 0, or return the time to wait for the next token."""
         now = self._clock()
         left, at_s = self._buckets.pop(key, (self._burst, now))
         left = min(left + (now - at_s) * self._rate_per_s, self._burst)

@@ -1,7 +1,7 @@
-"""Where a request comes from: this computer, a proxy, a page of another site. Judged by the headers as they were sent.
+"""The origin of a request: this computer, a proxy, or a page of another site, judged by the headers as sent.
 
-Starlette's `request.url` puts the server's own address in the place of a `Host` that it cannot read. Here a header that
-is missing, doubled or not well formed stands for nothing.
+Starlette's `request.url` replaces an unreadable `Host` with the server's own address. Here a header that is missing,
+repeated or malformed counts as absent.
 """
 
 from collections.abc import Collection
@@ -14,42 +14,41 @@ from config.schema import ServerSettings
 
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "[::1]")
 FORWARDING_HEADERS = ("forwarded", "via", "x-real-ip", "x-client-ip", "true-client-ip", "cf-connecting-ip")
-"""What proxies add; and everything that begins with `X-Forwarded`."""
+"""Headers that proxies add, besides every header that begins with `X-Forwarded`."""
 SAME_ORIGIN_FETCH_SITES = ("same-origin", "none")
-"""`Sec-Fetch-Site` of a request by the service's own page, and of an address that a person typed."""
+"""Values of `Sec-Fetch-Site` for a request of the service's own page, and for a typed address."""
 DEFAULT_PORTS = {"http": 80, "https": 443}
 
 
 def single_header(connection: HTTPConnection, name: str) -> str | None:
-    """The value of a header that was sent exactly once, else None."""
+    """Return the value of a header that was sent exactly once, else None."""
     values = connection.headers.getlist(name)
     return values[0] if len(values) == 1 else None
 
 
 def requested_host(connection: HTTPConnection) -> Authority | None:
-    """By which name the service is asked (`Host`); None if that is missing, doubled or not well formed."""
+    """Return the host that the request addresses (`Host`); None if it is missing, repeated or malformed."""
     return parse_authority(single_header(connection, "host") or "")
 
 
 def is_allowed_host(requested: Authority, connection: HTTPConnection, hosts: Collection[str]) -> bool:
-    """Whether the service is asked by a name of its own: localhost, one of `hosts`, or the address it listens on."""
+    """Return whether `requested` is localhost, one of `hosts`, or the address that the service listens on."""
     server: tuple[str, int] | None = connection.scope.get("server")
     return requested.host in {*LOCAL_HOSTS, *hosts} or (server is not None and requested.host == format_host(server[0]))
 
 
 def is_local_request(connection: HTTPConnection, hosts: Collection[str]) -> bool:
-    """Whether a person or program on this computer asks: by address and by an allowed name, not through a proxy, and
-    not because a page of another site says so."""
+    """Return whether a local client sent the request to an allowed host, without a proxy or a foreign page."""
     asked, client, own_page = requested_host(connection), connection.client, is_same_origin(connection)
     if asked is None or client is None or forwarded_headers(connection):
         return False
-    if own_page is None:  # browsers do not send `Origin` with all that they read
+    if own_page is None:  # browsers omit `Origin` in many read requests
         own_page = all(each in SAME_ORIGIN_FETCH_SITES for each in connection.headers.getlist("sec-fetch-site"))
     return is_loopback(client.host) and is_allowed_host(asked, connection, hosts) and own_page
 
 
 def forwarded_headers(connection: HTTPConnection) -> list[tuple[str, str]]:
-    """What proxies say, or somebody in their name."""
+    """Return the headers that proxies add; a client may have forged them."""
     return [
         (name, value)
         for name, value in connection.headers.items()
@@ -58,9 +57,9 @@ def forwarded_headers(connection: HTTPConnection) -> list[tuple[str, str]]:
 
 
 def is_same_origin(connection: HTTPConnection) -> bool | None:
-    """Whether the page that asks (`Origin`) comes from this service; None where no page says that it asks.
+    """Return whether the requesting page (`Origin`) belongs to this service; None without `Origin`.
 
-    Name and port are compared, not http or https: a proxy before the service may end TLS.
+    The scheme is not compared, because a proxy in front of the service may end TLS.
     """
     if "origin" not in connection.headers:
         return None
@@ -72,7 +71,7 @@ def is_same_origin(connection: HTTPConnection) -> bool | None:
 
 
 def is_encrypted(connection: HTTPConnection, server: ServerSettings) -> bool:
-    """Whether the browser's connection is encrypted: ours, or the one to a proxy that the settings name."""
+    """Return whether the browser's connection is encrypted, to the service or to a trusted proxy."""
     if connection.scope["scheme"] == "https":
         return True
     client = connection.client

@@ -1,7 +1,7 @@
-"""The contract of `wire.py` as one JSON schema, from which the dashboard's TypeScript types are generated.
+"""The JSON schema of `wire.py`, from which the dashboard's TypeScript types are generated.
 
-`python -m app.messages.json_schema` writes it to `frontend/src/wire.schema.json`, which is committed; a test
-compares the two.
+`python -m app.messages.json_schema` writes it to `frontend/src/wire.schema.json`, which is committed. A test compares
+the two.
 """
 
 import json
@@ -56,7 +56,7 @@ HEADER_FIELDS = ("magic", "kind", "stride", "columns", "rows", "sequence", "firs
 
 
 class _TypeScriptSchemaGenerator(GenerateJsonSchema):
-    """No titles on fields, which would become types of their own; what the server sends is always complete."""
+    """A generator that omits field titles, which would become types, and requires each field that the server sends."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         return False
@@ -66,7 +66,7 @@ class _TypeScriptSchemaGenerator(GenerateJsonSchema):
 
 
 def build_schema() -> dict[str, Any]:
-    """Every message and body under `$defs`; the binary frame's header under `x-frame`."""
+    """Build the schema: messages and bodies under `$defs`, the binary frame's header under `x-frame`."""
     modes: list[tuple[tuple[str, ...], JsonSchemaMode]] = [
         (SENT_BY_SERVER, "serialization"),
         (SENT_BY_BROWSER, "validation"),
@@ -89,7 +89,7 @@ def build_schema() -> dict[str, Any]:
 
 
 def describe_frame_layout() -> dict[str, Any]:
-    """Magic, size, kinds, and the byte offset of each header field with its `struct` code."""
+    """Return the frame header's magic, `struct` format, size, kinds, and the byte offset of each field."""
     order, *codes = _split_struct_codes(wire.FRAME_HEADER.format)
     if len(codes) != len(HEADER_FIELDS):
         raise RuntimeError("FRAME_HEADER changed: bring HEADER_FIELDS in app/messages/json_schema.py up to date")
@@ -104,7 +104,7 @@ def describe_frame_layout() -> dict[str, Any]:
 
 
 def _split_struct_codes(layout: str) -> list[str]:
-    """`<4sBB` to `<`, `4s`, `B`, `B`."""
+    """Split `<4sBB` into `<`, `4s`, `B`, `B`."""
     codes, count = [layout[0]], ""
     for char in layout[1:]:
         count += char
@@ -115,7 +115,7 @@ def _split_struct_codes(layout: str) -> list[str]:
 
 
 def render_schema() -> str:
-    """The file's exact content."""
+    """Return the exact content of the schema file."""
     return json.dumps(build_schema(), indent=2, ensure_ascii=False) + "\n"
 
 

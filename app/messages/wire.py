@@ -1,12 +1,14 @@
 """The whole contract with browsers and programs: WebSocket messages, REST bodies, and the binary sample frame.
 
-`/api/live` sends one `Hello`, then JSON messages (never dropped) and binary sample frames (the oldest are dropped
-for a viewer that is slow). A viewer answers each frame with `FrameReceived`. TypeScript types are generated from here.
-`/api/recordings/{name}/replay` sends the same of a recording, with a `ReplayState` at every change and ten times a
-second, and obeys `ReplayControl`; after a jump it begins again with a `Hello`.
+`/api/live` sends one `Hello`, then JSON messages and binary sample frames. For a slow viewer, it drops the
+oldest frames, but never a message. A viewer answers each frame with `FrameReceived`.
+`/api/recordings/{name}/replay` sends the same for a recording, and a `ReplayState` at every change and ten times a
+second. It obeys `ReplayControl`; after a jump it begins again with a `Hello`.
 
 Binary frame, little-endian: `FRAME_HEADER`, then `columns` float32 columns of `rows` values each, in the order of
 `Hello.channels`; NaN means "no value". Rows are consecutive ticks (1 tick = 1 sample) beginning at `first_tick`.
+
+The dashboard's TypeScript types are generated from this module (`make wire`).
 """
 
 import struct
@@ -27,7 +29,7 @@ FRAME_MAGIC = b"GWF1"
 
 
 class FrameKind(StrEnum):
-    """How a frame came: as it happened, or the last seconds on connecting. On the wire: 0 and 1."""
+    """The kind of a frame: new samples, or the last seconds before the viewer connected. On the wire: 0 and 1."""
 
     LIVE = "live"
     HISTORY = "history"
@@ -50,13 +52,13 @@ class WireModel(BaseModel):
 
 
 class Phase(StrEnum):
-    """Where the tool stands."""
+    """The phase of the service."""
 
     STARTING = "starting"
     IDLE = "idle"
     RUNNING = "running"
     REPLAY = "replay"
-    """There is no tool, only recordings."""
+    """The service has no tool and only shows recordings."""
     FAULTED = "faulted"
 
 
@@ -68,14 +70,14 @@ class RunState(StrEnum):
 
 
 class Role(StrEnum):
-    """What somebody may do: each as much as those before, and more."""
+    """The permissions of a token; each role includes the roles before it."""
 
     VIEWER = "viewer"
-    """Watches, and presses STOP."""
+    """May watch and press STOP."""
     OPERATOR = "operator"
-    """Runs protocols and acknowledges alarms."""
+    """May run protocols and acknowledge alarms."""
     ADMIN = "admin"
-    """Deletes recordings."""
+    """May delete recordings."""
 
     def includes(self, other: "Role") -> bool:
         order = list(Role)
@@ -96,7 +98,7 @@ class ChannelInfo(WireModel):
 
 
 class HoldableInfo(WireModel):
-    """Something that the simulated grasper can be told to hold."""
+    """A tissue that the simulated grasper can hold."""
 
     name: str
     title: str
@@ -104,7 +106,7 @@ class HoldableInfo(WireModel):
 
 
 class SpreadInfo(WireModel):
-    """Standard deviations of natural logarithms from specimen to specimen."""
+    """Standard deviations between specimens of a tissue, of natural logarithms."""
 
     log_alpha: float
     log_beta: float
@@ -113,7 +115,7 @@ class SpreadInfo(WireModel):
 
 
 class TissueInfo(WireModel):
-    """A profile of the library in use."""
+    """A tissue profile of the library in use."""
 
     name: str
     title: str
@@ -138,7 +140,7 @@ class LibraryInfo(WireModel):
 
 
 class ForceScaleInfo(WireModel):
-    """By which scale newtons are told: jaw force is Eq. (2) times `value`; it may be anything from `low` to `high`."""
+    """The force scale: jaw force is Eq. (2) times `value`, whose true value lies between `low` and `high`."""
 
     value: float
     low: float
@@ -147,17 +149,17 @@ class ForceScaleInfo(WireModel):
     source: str
     date: str | None
     expires: str | None
-    text: str = Field(description="The same in words, to stand beside newtons")
+    text: str = Field(description="The force scale in words, to show beside newtons")
 
 
 class ConstantInfo(WireModel):
-    """When a constant of the tool file was measured."""
+    """A calibrated constant of the tool file, with its measurement date."""
 
-    constant: str = Field(description="Its key in the tool file")
+    constant: str = Field(description="Key of the constant in the tool file")
     value: float
     date: str
-    by: str = Field(description="Who measured it, or where it comes from")
-    expires: str | None = Field(description="From this day on it is to be measured anew; null: not said")
+    by: str = Field(description="Person who measured the constant, or its source")
+    expires: str | None = Field(description="Day from which a new measurement is due; null: not given")
     expired: bool
 
 
@@ -169,19 +171,19 @@ class ToolInfo(WireModel):
     max_command_v: float
     force_ceiling_n: float
     force_scale: ForceScaleInfo
-    calibration_date: str = Field(description="Of the constants that have no date of their own")
+    calibration_date: str = Field(description="Date of the constants that have no date of their own")
     calibrated_by: str
 
 
 class ProtocolInfo(WireModel):
-    """A protocol with its waveform: motor command over one cycle, for a preview."""
+    """A protocol with its waveform for a preview: the motor command over one cycle."""
 
     name: str
     title: str
     cycles: int
     cycle_s: float
     peak_command_v: float
-    refused: str | None = Field(description="Why this tool cannot play it; its waveform is then empty")
+    refused: str | None = Field(description="Why this tool cannot play the protocol, whose waveform is then empty")
     time_s: list[float]
     command_v: list[float]
 
@@ -195,26 +197,26 @@ class RunRequest(WireModel):
 
     protocol: str = Field(description="Name of a protocol, see GET /api/protocols")
     cycles: Annotated[int, Field(ge=1, le=10_000)] | None = Field(None, description="Grasps; null: the protocol's")
-    tissue: str | None = Field(None, description="What the simulated grasper holds; refused for a real tool")
-    by: PersonName | None = Field(None, description="Who asks for it")
+    tissue: str | None = Field(None, description="Tissue that the simulated grasper holds; refused for a real tool")
+    by: PersonName | None = Field(None, description="Name of the requester")
     unmeasured_scale: Reason | None = Field(None, description=UNMEASURED_SCALE_DESCRIPTION)
 
 
 class ArmRequest(WireModel):
-    """May be left out altogether."""
+    """Arm the tool. The body is optional."""
 
     by: PersonName | None = None
     unmeasured_scale: Reason | None = Field(None, description=UNMEASURED_SCALE_DESCRIPTION)
 
 
 class SafetyReport(WireModel):
-    """Where the tool stands after it was armed or disarmed."""
+    """The safety state of the tool after it was armed or disarmed."""
 
     safety: Safety
 
 
 class StopRequest(WireModel):
-    """May be left out altogether: a stop needs no words."""
+    """Stop the motor. The body is optional."""
 
     by: PersonName | None = None
 
@@ -226,16 +228,16 @@ class Run(WireModel):
     protocol: str
     cycles: int
     tissue: str | None
-    by: str | None = Field(description="Who started it")
+    by: str | None = Field(description="Person who started the run")
     state: RunState
     started_at: str
     ended_at: str | None
-    why: str | None = Field(description="Why it stopped or failed")
+    why: str | None = Field(description="Why the run stopped or failed")
     grasps: int
 
 
 class Grasp(WireModel):
-    """A finished grasp. Null where there is no value."""
+    """A finished grasp. A field without a value is null."""
 
     index: int
     start_s: float
@@ -254,15 +256,15 @@ class Grasp(WireModel):
     force_error_n: dict[str, float | None]
     valid: bool
     why_invalid: str | None
-    alarms: list[Priority] = Field(description="Force warnings during it, the highest of each rise")
-    held_back: bool = Field(description="Whether the limiter held the motor back")
+    alarms: list[Priority] = Field(description="Force warnings during the grasp: the highest of each rise of the force")
+    held_back: bool = Field(description="Whether the limiter kept the command lower than the protocol asks for")
     peak_share_of_limit: float | None = Field(
-        None, description="Highest share of the force in the limit that was enforced meanwhile; null: none was"
+        None, description="Highest ratio of the force to the limit enforced at that time; null: no limit was enforced"
     )
 
 
 class Hello(WireModel):
-    """First message on a connection."""
+    """The first message on a connection: what the service is and what it sends."""
 
     type: Literal["hello"] = "hello"
     schema_version: int = SCHEMA_VERSION
@@ -279,43 +281,43 @@ class Hello(WireModel):
 
 
 class RecordingState(WireModel):
-    """How it stands with the recorder."""
+    """The state of the recorder."""
 
     enabled: bool
-    file: str | None = Field(description="What is being written; null: no run is under way, or none is recorded")
-    samples: int = Field(description="In that file so far, those from before the run included")
+    file: str | None = Field(description="File being written; null: no run is under way, or it is not recorded")
+    samples: int = Field(description="Samples in that file so far, including those before the run")
     missing_blocks: int = Field(description="Blocks that never reached the recorder")
-    problem: str | None = Field(description="Why the last recording ended before its run")
+    problem: str | None = Field(description="Why the last recording ended before its run did")
 
 
 RECORDER_OFF = RecordingState(enabled=False, file=None, samples=0, missing_blocks=0, problem=None)
 
 
 class State(WireModel):
-    """Where everything stands; once a second and at every change."""
+    """The state of the service, sent once a second and at every change."""
 
     type: Literal["state"] = "state"
     server_time_ms: float
     phase: Phase
-    safety: Safety = Field(description="Whether the motor may move; it does only in `running` and `holding back`")
-    safety_why: str | None = Field(description="Why it is faulted, or was not armed")
+    safety: Safety = Field(description="Safety state; the motor moves only in `running` and `holding back`")
+    safety_why: str | None = Field(description="Why the tool is faulted, or was not armed")
     run: Run | None
     last_run: Run | None
-    limit_n: float | None = Field(description="Limit that the limiter enforces now, N; null: nothing does")
+    limit_n: float | None = Field(description="Limit that the limiter enforces now, N; null: no limit is enforced")
     simulated_tissue: str | None
-    demo: str | None = Field(description="What the demonstration is showing; null when there is none")
-    control: str | None = Field(description="Who holds the tool: who has control, else who started the run under way")
+    demo: str | None = Field(description="What the demonstration shows now; null: no demonstration runs")
+    control: str | None = Field(description="Person in control, else the one who started the run; null: neither")
     rate_hz: float
     lost_samples: int
     estimator_latency_ms: float | None
     viewers: int
     recording: RecordingState
-    free_disk_bytes: int | None = Field(description="Null: the data folder is gone")
+    free_disk_bytes: int | None = Field(description="Null: the data folder is missing")
     faults: list[str]
 
 
 class Identification(WireModel):
-    """What is held: at every change, and ten times a second during a grasp."""
+    """The answer for the grasp under way, sent at every change and ten times a second during a grasp."""
 
     type: Literal["identification"] = "identification"
     server_time_ms: float
@@ -329,12 +331,12 @@ class Identification(WireModel):
     time_to_decision_s: float | None
     force_n: float | None
     peak_force_n: float | None
-    threshold_n: float = Field(description="Injury threshold by which force alarms are judged; no limit of the motor")
-    threshold_tissue: str | None = Field(description="Whose threshold; null: the lowest of the library")
-    limit_n: float | None = Field(description="Limit that the limiter enforces, as it says itself; null: nothing does")
-    holding_back: bool = Field(description="Whether the limiter is holding the motor back")
-    time_to_limit_s: float | None = Field(description="Until the limit is reached, while the force rises; else null")
-    thickness_m: float | None = Field(description="Of what is held, where the tool can measure it at contact")
+    threshold_n: float = Field(description="Injury threshold in force, for force alarms; no limit of the motor")
+    threshold_tissue: str | None = Field(description="Tissue of this threshold; null: the library's lowest one applies")
+    limit_n: float | None = Field(description="Limit that the limiter enforces; null: no limit is enforced")
+    holding_back: bool = Field(description="Whether the limiter keeps the command lower than the protocol asks for")
+    time_to_limit_s: float | None = Field(description="Until the force reaches the limit; null unless it rises")
+    thickness_m: float | None = Field(description="Thickness of the tissue, where the tool can measure it at contact")
     convergence_s: dict[str, float | None]
     force_error_n: dict[str, float | None]
 
@@ -346,33 +348,33 @@ class GraspEnded(WireModel):
 
 
 class Alarm(WireModel):
-    """An alarm began, changed or ended. The same `id` until it is over: neither `active` nor `latched`."""
+    """An alarm began, changed or ended. It keeps its `id` until it is neither `active` nor `latched`."""
 
     type: Literal["alarm"] = "alarm"
     id: str
     kind: AlarmKind
     priority: Priority
-    active: bool = Field(description="Whether its cause is there")
-    latched: bool = Field(description="Whether it stays until somebody has acknowledged it")
+    active: bool = Field(description="Whether the cause persists")
+    latched: bool = Field(description="Whether the alarm stays until a person acknowledges it")
     text: str
-    value: float | None = Field(description="What passed the limit; after that the highest so far")
-    limit: float | None = Field(description="What it is judged against: of force alarms the injury threshold")
+    value: float | None = Field(description="Value that passed `limit`; later the highest so far")
+    limit: float | None = Field(description="Bound for `value`: of a force alarm, the injury threshold")
     unit: str | None
     began_ms: float
-    ended_ms: float | None = Field(description="When its cause went away")
-    acknowledged_by: str | None = Field(description="Null: nobody has yet, or it became worse since")
-    change: Annotated[int, Field(ge=1)] = Field(1, description="One more each time it is told: the highest is newest")
+    ended_ms: float | None = Field(description="When the cause ended")
+    acknowledged_by: str | None = Field(description="Null: not acknowledged, or the alarm became worse since")
+    change: Annotated[int, Field(ge=1)] = Field(1, description="Message number within the alarm; the highest is newest")
 
 
 class AcknowledgeRequest(WireModel):
-    """Somebody has seen an alarm."""
+    """Acknowledge an alarm that a person has seen."""
 
-    by: PersonName | None = Field(None, description="Who has; whoever is signed in may leave it out")
-    priority: Priority = Field(description="What was seen; refused if the alarm is worse by now")
+    by: PersonName | None = Field(None, description="Name of the person; optional for a person who is signed in")
+    priority: Priority = Field(description="Priority that the person saw; refused if the alarm is worse now")
 
 
 class EventMessage(WireModel):
-    """Something worth a line in the log: started, stopped, refused, lost, a tissue's name withdrawn."""
+    """A line for the log, such as a start, a stop, a refusal, a loss, or the withdrawal of a tissue's name."""
 
     type: Literal["event"] = "event"
     server_time_ms: float
@@ -380,14 +382,14 @@ class EventMessage(WireModel):
 
 
 class FrameReceived(WireModel):
-    """A viewer's answer to a sample frame; without answers the server stops sending frames after a few."""
+    """A viewer's answer to a sample frame. Without answers, the server stops sending frames after a few."""
 
     type: Literal["received"] = "received"
     sequence: int
 
 
 class ReplayControl(WireModel):
-    """What a viewer of a replay asks for; null: as it is."""
+    """A viewer's command to a replay; null leaves a value unchanged."""
 
     type: Literal["replay"] = "replay"
     playing: bool | None = None
@@ -396,16 +398,16 @@ class ReplayControl(WireModel):
 
 
 class ReplayState(WireModel):
-    """Where a replay stands."""
+    """The state of a replay."""
 
     type: Literal["replay_state"] = "replay_state"
     name: str
-    prepared: float = Field(description="Share of the recording that has been estimated; it plays from 1 on")
+    prepared: float = Field(description="Share of the recording that has been estimated; the replay plays once it is 1")
     playing: bool
     position_s: float
-    duration_s: float | None = Field(description="Null until it has been read")
+    duration_s: float | None = Field(description="Null until the recording has been read")
     speed: float
-    grasps: list[float] = Field(description="When its grasps begin, s")
+    grasps: list[float] = Field(description="Start times of the grasps, s")
 
 
 ServerMessage = Annotated[
@@ -414,46 +416,46 @@ ServerMessage = Annotated[
 
 
 class JournalKind(StrEnum):
-    """What a line of the journal is about."""
+    """The subject of a journal line."""
 
     EVENT = "event"
     RUN = "run"
     ALARM = "alarm"
     ACKNOWLEDGED = "acknowledged"
     DELETED = "deleted"
-    """A recording went to the bin."""
+    """A recording was moved to the bin."""
     RESTORED = "restored"
-    """A recording came back from the bin."""
+    """A recording was restored from the bin."""
     EMPTIED = "emptied"
-    """A recording was removed from the bin, for good."""
+    """A recording was permanently deleted from the bin."""
     REQUEST = "request"
-    """Somebody asked for a change: who, what, from where, and what came of it."""
+    """A request for a change: requester, action, client and result."""
     ACCESS = "access"
-    """Somebody signed in or out, took or gave back control, or a token was made, taken back or wrong."""
+    """A sign-in or sign-out, a change of control, or a token that was made, revoked or wrong."""
     CHAIN = "chain"
-    """The journal says something of itself: where its chain begins, or a line was cut off."""
+    """The journal's note about itself: where its chain begins, or that a line was cut off."""
 
 
 class Result(StrEnum):
-    """What came of a request."""
+    """The result of a request."""
 
     DONE = "done"
     REFUSED = "refused"
     FAILED = "failed"
-    """It could not be carried out."""
+    """The request was permitted, but could not be carried out."""
 
 
 class FileCondition(StrEnum):
-    """How a recording ends."""
+    """The completeness of a recording."""
 
     COMPLETE = "complete"
     RECOVERED = "recovered"
-    """It was cut off, and put in order since."""
+    """The recording was cut off, and has been repaired."""
     CUT_OFF = "cut off"
 
 
 class FileRecord(WireModel):
-    """A recording as the index knows it. Null where it could not be read, or nobody says."""
+    """A recording as the index knows it. A value that is missing or unreadable is null."""
 
     name: str
     run_id: str | None
@@ -465,12 +467,12 @@ class FileRecord(WireModel):
     format_version: str | None
     condition: FileCondition | None
     problem: str | None
-    deleted_at: str | None = Field(None, description="Null: it is there")
+    deleted_at: str | None = Field(None, description="ISO 8601, UTC; null: not deleted")
     deleted_by: str | None = None
 
 
 class JournalEntry(WireModel):
-    """A line of the journal: what happened, and who did it; and whole, what it is about."""
+    """A line of the journal: what happened, who did it, and the full run, alarm or recording that it is about."""
 
     at: str = Field(description="ISO 8601, UTC")
     kind: JournalKind
@@ -480,26 +482,26 @@ class JournalEntry(WireModel):
     value: float | None = None
     limit: float | None = None
     unit: str | None = None
-    run: Run | None = Field(None, description="As it was then")
-    alarm: Alarm | None = Field(None, description="As it was then")
+    run: Run | None = Field(None, description="The run at that time")
+    alarm: Alarm | None = Field(None, description="The alarm at that time")
     file: FileRecord | None = Field(None, description="The recording that was deleted or restored")
-    action: str | None = Field(None, description="What was asked for: the name of the route or of the command")
-    client: str | None = Field(None, description="From where it was asked for")
+    action: str | None = Field(None, description="Requested action: the name of the route or of the command")
+    client: str | None = Field(None, description="Address that the request came from")
     result: Result | None = None
-    reason: str | None = Field(None, description="Why it was refused, or failed")
-    chain: str | None = Field(None, description="Which chain the line belongs to; null, as all below: to none")
-    number: int | None = Field(None, description="One more than the line before")
+    reason: str | None = Field(None, description="Why the request was refused or failed")
+    chain: str | None = Field(None, description="Chain of the line; null, as all below: it is in none")
+    number: int | None = Field(None, description="One more than the number of the line before")
     after: str | None = Field(None, description="Hash of the line before")
-    begins: str | None = Field(None, description="Here the chain begins: hash of all that stands in the file before")
-    torn: str | None = Field(None, description="A cut-off line stands before this one: its hash")
+    begins: str | None = Field(None, description="The chain begins here: hash of everything before in the file")
+    torn: str | None = Field(None, description="Hash of the cut-off line before this one, if there is one")
     hash: str | None = Field(None, description="SHA-256 of the line up to here, hexadecimal")
 
     def to_line(self) -> str:
-        """As it stands in the journal: without what is null, except within what it is about."""
+        """Return the entry as a journal line. Null fields are omitted, except within run, alarm and file."""
         return self.model_dump_json(exclude={name for name in type(self).model_fields if getattr(self, name) is None})
 
     def without_chain(self) -> Self:
-        """What it says, without its place in the journal."""
+        """Return a copy without the fields of the chain."""
         return self.model_copy(update=dict.fromkeys(CHAIN_FIELDS))
 
 
@@ -507,15 +509,15 @@ CHAIN_FIELDS = ("chain", "number", "after", "begins", "torn", "hash")
 
 
 class JournalCheck(WireModel):
-    """Whether the journal is as it was written."""
+    """The result of a check that the journal is as it was written."""
 
-    whole: bool = Field(description="Nothing was changed, removed or put in, as far as can be known")
-    problem: str | None = Field(description="The first place that is not as it was written, and what is wrong there")
-    notes: list[str] = Field(description="What one should know of a journal all the same, such as a cut-off line")
+    whole: bool = Field(description="No line was changed, removed or inserted, as far as the check can tell")
+    problem: str | None = Field(description="First place that is not as it was written, and the error there")
+    notes: list[str] = Field(description="Remarks that are no problem, such as a cut-off line")
     lines: int = Field(description="Lines in the chain")
-    unchained: int = Field(description="Lines of an older version before it, which nothing vouches for")
+    unchained: int = Field(description="Lines of an older version before the chain, which no hash protects")
     newest: int | None = Field(description="Number of the newest line")
-    newest_hash: str | None = Field(description="Its hash: who keeps it can tell later whether it still stands there")
+    newest_hash: str | None = Field(description="Hash of that line: a kept copy shows later whether it was changed")
     checked_at: str = Field(description="ISO 8601, UTC")
 
 
@@ -525,12 +527,12 @@ class RecordingInfo(WireModel):
     name: str
     size_bytes: int
     modified_at: str = Field(description="ISO 8601, UTC")
-    duration_s: float | None = Field(description="Null: not read yet, or not to be read")
-    problem: str | None = Field(description="Why it cannot be replayed")
-    whole: bool = Field(description="False while it is being written, and for one that was cut off")
-    run_id: str | None = Field(description="Null where it is no recording of a run")
+    duration_s: float | None = Field(description="Null: not read yet, or unreadable")
+    problem: str | None = Field(description="Why the recording cannot be replayed")
+    whole: bool = Field(description="False while the recording is being written, or if it was cut off")
+    run_id: str | None = Field(description="Null: the file is no recording of a run")
     protocol: str | None
-    tissue: str | None = Field(description="What it was said to hold")
+    tissue: str | None = Field(description="Tissue given in the request for the run")
     by: str | None
 
 
@@ -544,16 +546,16 @@ class Recordings(WireModel):
 class BinnedRecording(WireModel):
     """A deleted recording that can be restored."""
 
-    entry: str = Field(description="Its name in the bin")
+    entry: str = Field(description="Name of the entry in the bin")
     name: str
     size_bytes: int
     deleted_at: str = Field(description="ISO 8601, UTC")
     deleted_by: str | None
-    expires_at: str = Field(description="ISO 8601, UTC; soon after that it is removed for good")
+    expires_at: str = Field(description="ISO 8601, UTC; soon after that the recording is permanently deleted")
 
 
 class BinContent(WireModel):
-    """What is in the bin, deleted last first. It takes room on the disk until it is emptied."""
+    """The content of the bin, last deleted first. It takes disk space until the bin is emptied."""
 
     recordings: list[BinnedRecording]
     size_bytes: int
@@ -561,16 +563,16 @@ class BinContent(WireModel):
 
 
 class Emptied(WireModel):
-    """What was removed from the bin, for good."""
+    """The result of emptying the bin, which deletes permanently."""
 
     removed: int
     freed_bytes: int
 
 
 class ReportProgress(WireModel):
-    """A report that is being made."""
+    """The progress of a report that is being made."""
 
-    done: float = Field(description="Share, 0 to 1")
+    done: float = Field(description="Finished share of the work, 0 to 1")
 
 
 class StudyInfo(WireModel):
@@ -578,7 +580,7 @@ class StudyInfo(WireModel):
 
     name: str
     title: str
-    grasps: int | None = Field(description="How many grasps (or seeds) of each it takes unless told otherwise")
+    grasps: int | None = Field(description="Usual number of grasps (or seeds) of each case")
     most_grasps: int
 
 
@@ -586,7 +588,7 @@ class StudyRequest(WireModel):
     """Start a study; one at a time."""
 
     study: str = Field(description="Name of a study, see GET /api/studies")
-    grasps: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Null: as many as usual")
+    grasps: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Null: the usual number")
     seed: Annotated[int, Field(ge=0)] = 0
     by: PersonName | None = None
 
@@ -599,7 +601,7 @@ class StudyState(StrEnum):
 
 
 class StudyRun(WireModel):
-    """A study that was carried out, or is."""
+    """A study that is under way or over."""
 
     id: str
     study: str
@@ -609,15 +611,15 @@ class StudyRun(WireModel):
     by: str | None
     state: StudyState
     done: int
-    of: int | None = Field(description="Cases; null until the study has counted them")
+    of: int | None = Field(description="Number of cases; null until the study has counted them")
     started_at: str
     ended_at: str | None
-    why: str | None = Field(description="Why it was stopped or failed")
-    report: str | None = Field(description="Address of its page, once there is one")
+    why: str | None = Field(description="Why the study was stopped or failed")
+    report: str | None = Field(description="Address of the study's page; null: there is none yet")
 
 
 class Studies(WireModel):
-    """What can be studied, and what has been, newest first."""
+    """The available studies, and those carried out, newest first."""
 
     folder: str
     available: list[StudyInfo]
@@ -625,23 +627,23 @@ class Studies(WireModel):
 
 
 class System(WireModel):
-    """What runs here, and how it is set up."""
+    """The versions, machine, workers and configuration of the service."""
 
     versions: dict[str, str]
     machine: str
     started_at: str
     workers: dict[str, str]
-    realtime: dict[str, str] = Field(description="What the system granted each worker of `[realtime]`")
+    realtime: dict[str, str] = Field(description="Real-time priority that each process got (`[realtime]`)")
     data_folder: str
     free_disk_bytes: int | None
-    tool: dict[str, Any] = Field(description="The tool file")
-    constants: list[ConstantInfo] = Field(description="Each calibrated constant of it with its own date and expiry")
+    tool: dict[str, Any] = Field(description="Content of the tool file")
+    constants: list[ConstantInfo] = Field(description="Calibrated constants, each with its date and expiry")
     force_scale: ForceScaleInfo
     settings: dict[str, Any] = Field(description="The settings in use")
 
 
 class CalibrationKind(StrEnum):
-    """What is measured."""
+    """The kind of a calibration."""
 
     TARE = "tare"
     STRAIN = "strain"
@@ -654,14 +656,15 @@ class CalibrationRequest(WireModel):
 
     what: CalibrationKind
     values: Annotated[list[Annotated[float, Field(ge=0, le=1000)]], Field(max_length=50)] = Field(
-        default_factory=list, description="Pulls on the handle, N (strain), or gauges between the jaws, mm (geometry)"
+        default_factory=list,
+        description="Pulls on the handle, N (strain), or gauge blocks between the jaws, mm (geometry)",
     )
     person: Annotated[str, Field(max_length=60)] | None = None
     valid_days: Annotated[int, Field(ge=1, le=3650)] = 90
 
 
 class CalibrationReading(WireModel):
-    """One reading: its weight or gauge, and the means of the signals; after motion over rest and open jaws."""
+    """One reading: its weight or gauge block, and the mean signals; in motion, relative to rest and open jaws."""
 
     value: float
     strain_v: float
@@ -676,14 +679,14 @@ class Constant(WireModel):
     low: float
     high: float
     unit: str
-    residual: float = Field(description="RMS of what the fit leaves")
+    residual: float = Field(description="RMS of the residuals of the fit")
     residual_unit: str
     readings: int
     before: float | None
 
 
 class CalibrationResult(WireModel):
-    """What was fitted, the tool file it stands in, and the plot."""
+    """The fitted constants, the tool file that holds them, and the plot."""
 
     file: str
     constants: list[Constant]
@@ -699,9 +702,9 @@ class Calibration(WireModel):
     """The calibration under way, or the last one."""
 
     what: CalibrationKind | None
-    values: list[float] = Field(description="Of all readings in their order; the next is that after the last reading")
+    values: list[float] = Field(description="Values of all readings, in order")
     readings: list[CalibrationReading]
-    reading: bool = Field(description="Whether one is being taken")
+    reading: bool = Field(description="Whether a reading is being taken")
     problem: str | None = Field(description="Why the last reading or the fit was refused")
     result: CalibrationResult | None
 
@@ -713,35 +716,35 @@ class SignIn(WireModel):
 
 
 class SessionInfo(WireModel):
-    """Who asks."""
+    """The person who sends the request."""
 
-    needed: bool = Field(description="Whether this service has tokens; without them everybody at the machine is admin")
-    name: str | None = Field(description="Null: not signed in, or without need")
+    needed: bool = Field(description="Whether tokens are needed; if not, every user of this computer is admin")
+    name: str | None = Field(description="Null: not signed in, or the service has no tokens")
     role: Role | None = Field(description="Null: not signed in")
 
 
 class ControlRequest(WireModel):
     """Take control of the tool."""
 
-    take_over: bool = Field(False, description="Also where somebody else has it")
+    take_over: bool = Field(False, description="Take control even if another person has it")
 
 
 class ControlInfo(WireModel):
-    """Who has control of the tool: the only operator who may start."""
+    """Control of the tool: the only operator who may start a run."""
 
-    holder: str | None = Field(description="Null: nobody; whoever starts next")
-    expires_in_s: float = Field(description="Unless the holder does something meanwhile")
+    holder: str | None = Field(description="Null: control is free, and the next start acquires it")
+    expires_in_s: float = Field(description="Time until control expires, unless the holder acts")
 
 
 class StopAnswer(WireModel):
-    """What a stop did."""
+    """The effect of a stop."""
 
     stopped: bool = Field(description="Whether a run was stopped. The motor is at zero either way")
     run: Run | None
 
 
 class Health(WireModel):
-    """Whoever is not signed in, where that is needed, learns the status alone."""
+    """The health of the service. A request that lacks a needed sign-in receives only the status."""
 
     status: Literal["ready", "starting", "faulted"]
     version: str | None
@@ -756,4 +759,4 @@ class Problem(WireModel):
     title: str
     status: int
     detail: str
-    errors: list[dict[str, str]] | None = Field(None, description="For 422: each field at fault and why")
+    errors: list[dict[str, str]] | None = Field(None, description="For status 422: each wrong field and the reason")

@@ -1,1 +1,1 @@
-"""Who may do what: tokens, browser sessions, roles, and the middleware that asks before every route."""
+"""Authentication and authorization: tokens, browser sessions, roles, and the middleware before every route."""

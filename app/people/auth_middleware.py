@@ -1,4 +1,4 @@
-"""Before every route: nobody passes who is not known, and nothing that is too large or too slow."""
+"""Middleware before every route: refuses unknown users, and bodies that are too large or too slow."""
 
 import asyncio
 import contextlib
@@ -15,15 +15,17 @@ from app.http.problems import ProblemError
 from app.people.authenticator import STOP_PATH, Authenticator
 from app.people.authorization import AuthenticatedUser
 
-BODY_TIMEOUT_S = 10.0  # for a request's body to come
-SIGNED_OUT_CLOSE_CODE = 4401  # code of a close
+BODY_TIMEOUT_S = 10.0  # for each part of a request's body to arrive
+SIGNED_OUT_CLOSE_CODE = 4401
 PROTECTED_PATHS = ("/api/", "/metrics", "/openapi.json", "/docs", "/redoc", "/static-offline-docs")
 BODY_TOO_LARGE_TEXT = "The request's body is larger than server.most_body_bytes allows."
 
 
 class AuthMiddleware:
-    """ASGI middleware. All of `GUARDED` is closed to strangers, except what is `open_paths`; the rest is the dashboard,
-    which has to be there for somebody to sign in."""
+    """ASGI middleware that authenticates requests to PROTECTED_PATHS, except those in `public_paths`.
+
+    All other paths belong to the dashboard, which a user needs for signing in.
+    """
 
     def __init__(
         self, app: ASGIApp, authenticator: Authenticator, public_paths: Collection[str], max_body_bytes: int
@@ -42,7 +44,7 @@ class AuthMiddleware:
             )
             scope.setdefault("state", {})["who"] = who
             if scope["type"] == "http":
-                if not STOP_PATH.fullmatch(path):  # which is obeyed before its body is read
+                if not STOP_PATH.fullmatch(path):  # a stop takes effect before its body is read
                     self._check_length(Headers(scope=scope))
                 await self._app(scope, self._limit_body(receive), send)
                 return
@@ -52,16 +54,13 @@ class AuthMiddleware:
         await self._serve_websocket(who, scope, receive, send)
 
     def _check_length(self, headers: Headers) -> None:
-        """
-        Raises:
-            ProblemError: the header tells a body of more than is allowed.
-        """
+        """Raise ProblemError if the header announces a body that is too large."""
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > self._max_body_bytes:
             raise ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, BODY_TOO_LARGE_TEXT)
 
     def _limit_body(self, receive: Receive) -> Receive:
-        """`receive` for a body of no more than is allowed, whatever its header says."""
+        """Return a `receive` that limits the size of the body, whatever its header says, and the wait for it."""
         received, whole = 0, False
 
         async def bounded() -> Message:
@@ -83,10 +82,10 @@ class AuthMiddleware:
     async def _serve_websocket(
         self, user: AuthenticatedUser | None, scope: Scope, receive: Receive, send: Send
     ) -> None:
-        """A WebSocket, closed as soon as whoever opened it may not be here any more."""
+        """Serve a WebSocket, and close it as soon as its user is no longer permitted."""
         task = asyncio.current_task()
         if user is None or task is None:
-            await self._app(scope, receive, send)  # an open one; its route says so
+            await self._app(scope, receive, send)  # a public route
             return
         with self._authenticator.track_websocket(user, task) as attendance:
             try:

@@ -1,4 +1,4 @@
-"""Tells who asks, whether he may from where he is, and how often; ends what he has open once he may not any more."""
+"""The authenticator: finds the user of each request, limits rates, and closes WebSockets that lost permission."""
 
 import asyncio
 import contextlib
@@ -39,7 +39,7 @@ CHALLENGE_HEADERS = {"WWW-Authenticate": 'Bearer realm="Graspwatch"'}
 
 @dataclass(eq=False, slots=True)
 class OpenWebSocket:
-    """Somebody's open WebSocket."""
+    """An open WebSocket and its user."""
 
     user: AuthenticatedUser
     task: asyncio.Task[object]
@@ -47,10 +47,10 @@ class OpenWebSocket:
 
 
 class Authenticator:
-    """One for a service."""
+    """The authentication of one service's requests."""
 
     def __init__(self, plan: ServicePlan) -> None:
-        """Raises ConfigurationError: the file of people is at fault."""
+        """Raise ConfigurationError if other users may access the file of tokens, or it cannot be read."""
         self.server_settings = server = plan.settings.server
         self.token_store = TokenStore(plan.data_folder)
         self.browser_sessions = BrowserSessions(plan.settings.people.session_idle_s)
@@ -59,13 +59,13 @@ class Authenticator:
         self._failure_limiter = RateLimiter(FAILURES_PER_S, FAILURE_BURST)
         self._tool_service: ToolService | None = None
 
-    # --- at the gate -------------------------------------------------------------------------------------------------
+    # --- on each request ---------------------------------------------------------------------------------------------
 
     def authenticate(self, connection: HTTPConnection, is_public: bool) -> AuthenticatedUser | None:
-        """Who asks; None only where the address `is_open` to everybody.
+        """Return the user of a request; None only where the path `is_public`.
 
         Raises:
-            ProblemError: he is not let in, comes from another site's page, or asks too often.
+            ProblemError: the user is unknown, `Host` or `Origin` is not allowed, or the requests come too often.
         """
         who = self._find_user(connection)
         method = connection.scope.get("method", "WEBSOCKET")
@@ -73,7 +73,7 @@ class Authenticator:
         if not stops:
             self._limit_request_rate(connection, who)
         if who is None and not is_public:
-            if stops:  # one that is refused; else it could fill the journal
+            if stops:  # a refused stop counts, or it could fill the journal
                 self._limit_rate_of(f"address {client_address(connection)}")
             if self.token_store.requires_token:
                 raise ProblemError(HTTPStatus.UNAUTHORIZED, SIGN_IN_TEXT, headers=CHALLENGE_HEADERS)
@@ -86,9 +86,7 @@ class Authenticator:
         if method not in SAFE_METHODS:
             own = is_same_origin(connection)
             if own is False or (own is None and who and who.session_hash):
-                self._limit_rate_of(
-                    f"address {client_address(connection)}"
-                )  # whoever has no token is not counted above
+                self._limit_rate_of(f"address {client_address(connection)}")  # a local user is not counted above
                 raise ProblemError(HTTPStatus.FORBIDDEN, FOREIGN_ORIGIN_TEXT)
         return who
 
@@ -113,11 +111,13 @@ class Authenticator:
         return AuthenticatedUser(entry.role, entry.name, entry.sha256, key)
 
     def check_token(self, connection: HTTPConnection, token: str) -> TokenEntry:
-        """Whose token it is. Wrong ones are counted and told; a good one is taken whatever came before it, so that
-        nobody can lock others out.
+        """Return the entry of a valid token.
+
+        Wrong tokens are counted and written to the journal. A valid one is accepted whatever came before it, so that
+        wrong tokens cannot lock other users out.
 
         Raises:
-            ProblemError: it is not good; and, after too many of those, how long to wait.
+            ProblemError: the token is not valid, or too many wrong tokens came from this address.
         """
         entry = self.token_store.find_by_token(token)
         if entry:
@@ -135,7 +135,7 @@ class Authenticator:
 
     def _limit_request_rate(self, connection: HTTPConnection, user: AuthenticatedUser | None) -> None:
         if user and user.name is None:
-            return  # whoever sits at the machine has simpler ways to keep it busy
+            return  # a local user has simpler ways to keep the computer busy
         self._limit_rate_of(f"person {user.name}" if user else f"address {client_address(connection)}")
 
     def _limit_rate_of(self, key: str) -> None:
@@ -146,10 +146,10 @@ class Authenticator:
                 headers={"Retry-After": str(int(wait_s) + 1)},
             )
 
-    # --- meanwhile ---------------------------------------------------------------------------------------------------
+    # --- in the background -------------------------------------------------------------------------------------------
 
     async def watch_token_file(self, tool_service: ToolService) -> None:
-        """Notice what changes in the file of people, until cancelled."""
+        """Reload the file of tokens when it changes, until canceled; open WebSockets keep their sessions alive."""
         self._tool_service = tool_service
         while True:
             self._reload_tokens()
@@ -160,7 +160,7 @@ class Authenticator:
             await asyncio.sleep(WATCH_PERIOD_S)
 
     def close_unauthorized(self) -> None:
-        """Close the WebSockets of those who may not be here any more."""
+        """Close the WebSockets of users whose token or session is no longer valid."""
         for each in [
             each
             for each in self.open_websockets
@@ -185,7 +185,7 @@ class Authenticator:
             self.open_websockets.discard(attendance)
 
     def _reload_tokens(self) -> None:
-        """Where the file is another one: tell what it says now."""
+        """Reload a changed file; write new and revoked tokens to the journal, and update the alarm about the file."""
         before = self.token_store.entries
         if not self.token_store.reload_if_changed():
             return
@@ -204,7 +204,7 @@ class Authenticator:
         self.close_unauthorized()
 
     def write_access_entry(self, text: str, by: str | None = None) -> None:
-        """A line in the journal; it is not news for those who watch the tissue."""
+        """Write a journal line about access; viewers of the live stream do not receive it."""
         if self._tool_service:
             self._tool_service.journal.write(JournalKind.ACCESS, text, by=by)
 
@@ -214,5 +214,5 @@ def client_address(connection: HTTPConnection) -> str:
 
 
 def session_cookie_name(connection: HTTPConnection) -> str:
-    """The cookie's name; browsers tell services of one machine apart by it, as they do not look at ports."""
+    """Return the cookie's name. It holds the port, because browsers send cookies to all ports of a host."""
     return f"graspwatch-{connection.scope['server'][1]}"

@@ -1,4 +1,4 @@
-"""Who asks, and what every route declares: the role that it needs."""
+"""The authenticated user of a request, and the role that every route declares."""
 
 from dataclasses import dataclass, field
 from http import HTTPStatus
@@ -13,9 +13,9 @@ from app.messages.wire import Role
 
 @dataclass(frozen=True, slots=True)
 class AuthenticatedUser:
-    """Somebody who may be here. No name: whoever sits at this machine, of a service that has no tokens.
+    """A user with a role. Without a name, it is a local user of a service that has no tokens.
 
-    `token` and `session` are the hashes by which he came, None where there is none.
+    `token_hash` and `session_hash` identify the token and the browser session; None if there is none.
     """
 
     role: Role
@@ -25,7 +25,7 @@ class AuthenticatedUser:
 
 
 class RoleRequirement:
-    """A route's dependency; `role` None: it is open to everybody."""
+    """A route's dependency that demands a role; None: the route is public."""
 
     def __init__(self, role: Role | None) -> None:
         self.role = role
@@ -34,7 +34,7 @@ class RoleRequirement:
         who = get_user(connection)
         if self.role is None:
             return
-        if who is None:  # the gate has refused him already, unless a route's address is open and the route is not
+        if who is None:  # AuthMiddleware refused the user, unless the path is public for another method
             raise ProblemError(HTTPStatus.UNAUTHORIZED, "Sign in first.")
         if not who.role.includes(self.role):
             detail = (
@@ -51,26 +51,26 @@ PUBLIC_ROUTE = Depends(RoleRequirement(None))
 
 
 def require_role(role: Role) -> object:
-    """What stands beside every route: `dependencies=[needs(Role.OPERATOR)]`."""
+    """Return the dependency for a route: `dependencies=[require_role(Role.OPERATOR)]`."""
     return Depends(RoleRequirement(role))
 
 
 def get_user(connection: HTTPConnection) -> AuthenticatedUser | None:
-    """None: nobody who is known."""
+    """Return the user of a request, None if unknown."""
     return connection.state.who
 
 
 def requester_name(connection: HTTPConnection, by: str | None) -> str | None:
-    """In whose name something is done: of whoever is signed in, else as he says himself."""
+    """Return the name of the signed-in user, else the name `by` from the request."""
     who = get_user(connection)
     return who.name if who and who.name else by
 
 
 def require_requester_name(connection: HTTPConnection, by: str | None) -> str:
-    """The same, where somebody has to stand for it.
+    """Return the requester's name, where an action needs one.
 
     Raises:
-        ProblemError: there is no name.
+        ProblemError: the request has no name.
     """
     name = requester_name(connection, by)
     if name is None:

@@ -1,4 +1,4 @@
-"""Check the address that a service shall listen on, and its certificate, before it starts."""
+"""Checks before a service starts: the address that it listens on, and its certificate."""
 
 import ssl
 from pathlib import Path
@@ -14,10 +14,10 @@ UNENCRYPTED_WARNING = (
 
 
 def check_listen_address(host: str, data: Path, tls: bool) -> str | None:
-    """Whether a service may listen on `host`; returns what has to be said about it.
+    """Check that a service may listen on `host`; return a warning, if there is one.
 
     Raises:
-        ConfigurationError: not without tokens.
+        ConfigurationError: other computers can reach `host`, and no token is valid, or their file cannot be read.
     """
     people = read_tokens(data)
     if is_loopback(host):
@@ -31,7 +31,7 @@ def check_listen_address(host: str, data: Path, tls: bool) -> str | None:
 
 
 def check_certificate(cert: str | None, key: str | None) -> None:
-    """Raises ConfigurationError: the two are not what TLS needs."""
+    """Raise ConfigurationError if a file is missing, or the two are no certificate with its key."""
     if cert is None and key is None:
         return
     if cert is None or key is None:
@@ -49,5 +49,5 @@ def check_certificate(cert: str | None, key: str | None) -> None:
 
 
 def _no_password() -> str:
-    """Else OpenSSL asks at the terminal."""
+    """Return no password, so that OpenSSL does not ask for one at the terminal."""
     return ""

@@ -1,4 +1,4 @@
-"""Sessions of browsers: kept here, so that they can be ended here. A browser only has the random name of its own."""
+"""Sessions of signed-in browsers. The server keeps them, so that it can end them; a browser only has a secret."""
 
 import secrets
 import time
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from app.people.tokens import hash_secret
 
 SECRET_BYTES = 32
-MAX_SESSIONS_PER_TOKEN = 20  # sessions by one token; the one unused for longest goes
+MAX_SESSIONS_PER_TOKEN = 20  # beyond that, the session unused for longest ends
 
 
 @dataclass(slots=True)
@@ -18,14 +18,14 @@ class _BrowserSession:
 
 
 class BrowserSessions:
-    """By the hash of their secret, to the hash of the token with which they began."""
+    """The open sessions. The key of a session is the hash of its secret; it leads to the hash of its token."""
 
     def __init__(self, idle_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._idle_s, self._clock = idle_s, clock
         self._sessions: dict[str, _BrowserSession] = {}
 
     def begin(self, token_hash: str) -> str:
-        """The secret of a new one."""
+        """Begin a session and return its secret."""
         self._remove_idle()
         mine = [key for key, session in self._sessions.items() if session.token_hash == token_hash]
         if len(mine) >= MAX_SESSIONS_PER_TOKEN:
@@ -35,12 +35,12 @@ class BrowserSessions:
         return secret
 
     def find_token_hash(self, key: str) -> str | None:
-        """None: there is no such session, or not any more."""
+        """Return the token hash of a session; None if the session is unknown or expired."""
         session = self._sessions.get(key)
         return session.token_hash if session and self._clock() - session.last_used_s <= self._idle_s else None
 
     def touch(self, key: str) -> None:
-        """Somebody is there."""
+        """Renew a session that is in use."""
         if self.find_token_hash(key):
             self._sessions[key].last_used_s = self._clock()
 

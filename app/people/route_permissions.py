@@ -1,4 +1,4 @@
-"""What the routes declare, all together: for the gate, and for the API's description."""
+"""The roles that all routes declare, for the authentication and for the API's description."""
 
 from collections.abc import Iterable, Mapping
 from http import HTTPStatus
@@ -15,10 +15,10 @@ REFUSAL_STATUSES = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TO
 
 
 def collect_route_permissions(routers: Iterable[APIRouter]) -> RoutePermissions:
-    """Which role each route needs, by method (`WEBSOCKET` for one) and path; None: it is open to everybody.
+    """Return the role that each route needs, by method (or `WEBSOCKET`) and path; None: the route is public.
 
     Raises:
-        RuntimeError: a route does not say.
+        RuntimeError: a route declares no role.
     """
     declared = {}
     for route in (route for router in routers for route in router.routes):
@@ -35,7 +35,7 @@ def find_public_paths(permissions: RoutePermissions) -> set[str]:
 
 
 def add_roles_to_openapi(app: FastAPI, permissions: RoutePermissions) -> None:
-    """Say in the API's description which role each operation needs, and how it refuses others."""
+    """Add the role and the refusals of each operation to the API's description."""
     plain = app.openapi
 
     def described() -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""Tokens of people: `people.json` in the data folder holds who has one, never a token itself.
+"""Tokens of people: `people.json` in the data folder holds names, roles and hashes, never a token itself.
 
-A token is 32 random bytes, so one round of SHA-256 is as good as a slow hash: there is nothing to guess.
+A token is 32 random bytes, so one round of SHA-256 is as good as a slow hash: a token cannot be guessed.
 """
 
 import contextlib
@@ -21,13 +21,13 @@ from app.messages.wire import Role
 from config.errors import ConfigurationError
 
 TOKEN_FILE = "people.json"
-TOKEN_PREFIX = "gw_"  # found by programs that look for secrets where they do not belong
+TOKEN_PREFIX = "gw_"  # lets secret scanners find tokens in wrong places
 TOKEN_BYTES = 32
 MAX_NAME_LENGTH = 40
 
 
 class TokenEntry(BaseModel):
-    """One token that was given to somebody. Times are UTC."""
+    """A token that was given to a person. Times are UTC."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -47,7 +47,7 @@ class TokenEntry(BaseModel):
 
     @property
     def is_valid(self) -> bool:
-        """Neither revoked nor expired."""
+        """Whether the token is neither revoked nor expired."""
         return self.revoked_at is None and (self.expires_at is None or datetime.now(UTC) < self.expires_at)
 
     @property
@@ -70,10 +70,10 @@ def hash_secret(token: str) -> str:
 
 
 def read_tokens(data: Path) -> list[TokenEntry]:
-    """Everybody who has or had a token; empty where there is no file.
+    """Read the entries of all tokens, revoked and expired ones included; empty if the file is missing.
 
     Raises:
-        ConfigurationError: others may read or write the file, or it cannot be read.
+        ConfigurationError: other users may access the file, or it cannot be read.
     """
     path = data / TOKEN_FILE
     try:
@@ -96,10 +96,10 @@ def read_tokens(data: Path) -> list[TokenEntry]:
 
 
 def add_token(data: Path, name: str, role: Role, expires_days: float | None = None) -> str:
-    """A new token for somebody; returned once, it is in no file.
+    """Make a token for a person and return it; the file keeps only its hash.
 
     Raises:
-        ConfigurationError: the name is none, has a token already, or the file is at fault.
+        ConfigurationError: the name is invalid or has a valid token, or the file cannot be read or written.
     """
     now = datetime.now(UTC)
     token = TOKEN_PREFIX + secrets.token_urlsafe(TOKEN_BYTES)
@@ -116,10 +116,10 @@ def add_token(data: Path, name: str, role: Role, expires_days: float | None = No
 
 
 def revoke_token(data: Path, name: str) -> None:
-    """Take somebody's token back; a running service notices within a second.
+    """Revoke a person's tokens; a running service notices within a second.
 
     Raises:
-        ConfigurationError: he has none, or the file is at fault.
+        ConfigurationError: the person has none, or the file cannot be read or written.
     """
     with _edit_tokens(data) as people:
         held = [at for at, entry in enumerate(people) if entry.name == name and entry.revoked_at is None]
@@ -132,7 +132,7 @@ def revoke_token(data: Path, name: str) -> None:
 
 @contextlib.contextmanager
 def _edit_tokens(data: Path) -> Iterator[list[TokenEntry]]:
-    """The people, written back at the end unless something was raised; two programs take turns."""
+    """Lock the file, yield its entries, and write them back unless an error was raised."""
     folder = os.open(data, os.O_RDONLY)
     try:
         fcntl.flock(folder, fcntl.LOCK_EX)
@@ -144,11 +144,11 @@ def _edit_tokens(data: Path) -> Iterator[list[TokenEntry]]:
             f"{data / TOKEN_FILE}: cannot be written ({error.strerror}). Make room or mend it."
         ) from None
     finally:
-        os.close(folder)  # gives the lock back
+        os.close(folder)  # releases the lock
 
 
 def _write_tokens(data: Path, people: list[TokenEntry]) -> None:
-    """Whole or not at all, and never readable for others."""
+    """Replace the file atomically; other users can never read it."""
     handle, name = tempfile.mkstemp(prefix=f".{TOKEN_FILE}-", dir=data)  # mode 0600
     try:
         with open(handle, "w", encoding="utf-8") as file:
@@ -162,20 +162,20 @@ def _write_tokens(data: Path, people: list[TokenEntry]) -> None:
 
 
 class TokenStore:
-    """The file as it stands, for a service. A file that is gone or broken leaves nobody in, never everybody."""
+    """The tokens that a service accepts: none if the file is broken, or missing after it existed."""
 
     def __init__(self, data: Path) -> None:
-        """Raises ConfigurationError: the file is at fault."""
+        """Raise ConfigurationError if other users may access the file, or it cannot be read."""
         self._data = data
         self.entries = read_tokens(data)
         self.fault: str | None = None
-        """Why the file cannot be read any more."""
+        """Why the file can no longer be read; None if it can."""
         self.requires_token = (data / TOKEN_FILE).exists()
-        """Whether tokens are asked for; once they are, they are until the service ends."""
+        """Whether requests need a token; once True, it stays True until the service ends."""
         self._known_file_stamp = self._read_file_stamp()
 
     def reload_if_changed(self) -> bool:
-        """Take notice of a change of the file; whether there was one. One that cannot be read is tried again."""
+        """Reload a changed file, or one that could not be read; return whether entries or fault changed."""
         mark = self._read_file_stamp()
         if mark == self._known_file_stamp and not self.fault:
             return False
@@ -193,7 +193,7 @@ class TokenStore:
         return before != (self.entries, self.fault)
 
     def find_by_token(self, token: str) -> TokenEntry | None:
-        """Whose token it is, if it is good. Every entry is compared, so that the time tells nothing."""
+        """Return the entry of a valid token. All entries are compared, so that the time reveals nothing."""
         asked, found = hash_secret(token), None
         for entry in self.entries:
             if hmac.compare_digest(entry.sha256, asked) and entry.is_valid:
@@ -201,7 +201,7 @@ class TokenStore:
         return found
 
     def find_by_hash(self, token_hash: str) -> TokenEntry | None:
-        """Whose it is, if it is good still."""
+        """Return the entry with this token hash if it is still valid."""
         return next((entry for entry in self.entries if entry.sha256 == token_hash and entry.is_valid), None)
 
     def _read_file_stamp(self) -> tuple[int, int, int, int] | None:

@@ -1,1 +1,1 @@
-"""What runs while the tool is live: workers, runs, arming, alarms of a silent worker."""
+"""The live service: tool service, workers, runs, arming, control and watchdog."""

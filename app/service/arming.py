@@ -1,4 +1,4 @@
-"""Whether the tool is armed, as its acquisition tells; arming, disarming, and faults that stay until acknowledged."""
+"""Arming and disarming the tool, and faults that stay latched until a person acknowledges them."""
 
 import asyncio
 from collections.abc import Callable
@@ -14,13 +14,13 @@ from config.errors import RefusedError
 
 FAULT_ALARM_KEY = "fault"
 CALIBRATION_ARM_REASON = "for a calibration with empty jaws at half a volt"
-"""The one reason that needs no admin: without it no tool could be calibrated. It admits nothing but that."""
+"""The only reason that needs no admin, because no tool could be calibrated without it. It permits no other run."""
 SELF_TEST_TIMEOUT_S = 3.0
-"""The self-test waits up to a second for the jaws to come to rest."""
+"""Includes up to a second in which the self-test waits for the jaws to come to rest."""
 
 
 class ArmingController:
-    """Follows the state machine of the acquisition worker, and remembers its fault when that worker dies."""
+    """The server's copy of the acquisition's safety state, which keeps a fault when that worker dies."""
 
     def __init__(
         self, commander: Commander, alarms: AlarmManager, supervisor: Supervisor, publish_event: Callable[..., None]
@@ -29,10 +29,10 @@ class ArmingController:
         self._publish_event = publish_event
         self._safety_changed = asyncio.Event()
         self.safety, self.why = Safety.DISARMED, ""
-        self.unmeasured_scale_reason = ""  # why it was armed without a measured force scale
+        self.unmeasured_scale_reason = ""  # why the tool was armed without a measured force scale
 
     def update_from_block(self, block: SampleBlock) -> bool:
-        """Take what a block says; returns whether it is news to people."""
+        """Adopt the safety state of a block; return whether it changed, other than between states of motion."""
         if (block.safety, block.why) == (self.safety, self.why):
             return False
         before, self.safety, self.why = self.safety, block.safety, block.why
@@ -46,10 +46,10 @@ class ArmingController:
         self._alarms.raise_latched(FAULT_ALARM_KEY, AlarmKind.TECHNICAL, text)
 
     def on_worker_death(self, why: str) -> None:
-        """The acquisition worker is gone: if the tool was armed, the next worker begins with that fault."""
+        """Latch a fault if the tool was armed when the acquisition worker died; the next worker begins with it."""
         if self.safety is Safety.FAULTED:
             why = self.why
-            self._raise_fault_alarm()  # its acknowledgement may have gone down with the worker
+            self._raise_fault_alarm()  # the dead worker may have lost the acknowledgment
         elif self.safety not in MONITORED_STATES:
             self.safety, why = Safety.DISARMED, ""
         else:
@@ -59,12 +59,12 @@ class ArmingController:
         self._safety_changed.set()
 
     async def arm(self, by: str | None, unmeasured_scale_reason: str = "") -> None:
-        """Test the tool; it is armed when this returns.
+        """Test the tool and arm it; it is armed when this returns.
 
-        `unmeasured`: why it may be although its force scale is not measured.
+        `unmeasured_scale_reason`: why the tool may be armed although its force scale is not measured.
 
         Raises:
-            RefusedError: it cannot be; the text says why and what to do.
+            RefusedError: the tool cannot be armed; the text says why and what to do.
             ServiceError: the acquisition does not answer.
         """
         if not self._supervisor.has_safety_monitor:
@@ -82,19 +82,18 @@ class ArmingController:
         self._publish_event(f"Armed: tare and self-test passed{without}", by=by)
 
     async def _wait_for_self_test(self) -> None:
-        """The worker has obeyed; its blocks from now on tell how that goes."""
+        """Wait until the blocks show the end of the self-test that the acquisition has begun."""
         if self.safety is not Safety.ARMED:
             await self._wait_for_change()
         while self.safety is Safety.TESTING:
             await self._wait_for_change()
 
     async def _wait_for_change(self) -> None:
-        """The next one."""
         self._safety_changed.clear()
         await self._safety_changed.wait()
 
     async def disarm(self, by: str | None) -> None:
-        """Motor to zero; nothing starts before the tool is armed again.
+        """Bring the motor to zero; no run starts before the tool is armed again.
 
         Raises:
             ServiceError: the acquisition does not answer.
@@ -103,10 +102,10 @@ class ArmingController:
         self._publish_event("Disarmed", by=by)
 
     async def acknowledge(self, alarm_id: str, seen_priority: Priority, by: str) -> Alarm:
-        """Somebody has seen an alarm. That of a fault unlatches it: the tool can be armed again.
+        """Acknowledge an alarm for `by`. The alarm of a fault unlatches the fault, so that the tool can be armed again.
 
         Raises:
-            RefusedError: there is no such alarm any more, it is worse by now, or the fault is there again.
+            RefusedError: the alarm is over, its priority has risen above `seen_priority`, or the fault has returned.
             ServiceError: the acquisition does not answer.
         """
         if self.safety is Safety.FAULTED and self._alarms.find_key(alarm_id) == FAULT_ALARM_KEY:
@@ -117,7 +116,7 @@ class ArmingController:
         return self._alarms.acknowledge(alarm_id, seen_priority, by)
 
     async def _wait_until_unlatched(self) -> None:
-        """Until the blocks say so as well: whoever is answered may start."""
+        """Wait until the blocks show no fault, because the caller may start a run at once."""
         try:
             async with asyncio.timeout(ANSWER_TIMEOUT_S):
                 while self.safety is Safety.FAULTED:
@@ -126,9 +125,10 @@ class ArmingController:
             raise RefusedError(f"The tool is at fault again: {self.why}. See its alarm.") from None
 
     def check_no_fault(self) -> None:
-        """
+        """Check that no fault is latched.
+
         Raises:
-            RefusedError: a fault is latched; the text says how it is acknowledged.
+            RefusedError: a fault is latched; the text says how to acknowledge it.
         """
         if self.safety is not Safety.FAULTED:
             return

@@ -11,23 +11,22 @@ from config.errors import RefusedError, ServiceError
 
 ANSWER_TIMEOUT_S = 0.5
 MAX_LATE_STOPS, LATE_STOP_TIMEOUT_S = 20, 10.0
-"""So many stops stay in the queue of a worker that is held up, and so long: one is obeyed when nobody waits for it
-any more."""
+"""Limits for stops that wait for a worker that is held up; it obeys them even after their callers gave up."""
 
 
 class Commander:
-    """Passes commands on, each with a socket of its own, so that none waits for another's answer."""
+    """A sender of commands, each with a socket of its own, so that none waits for another's answer."""
 
     def __init__(self, context: zmq.asyncio.Context, address: str) -> None:
         self._context, self._address = context, address
         self._pending: set[asyncio.Task[bus.CommandReply]] = set()
 
     async def send(self, command: bus.AnyCommand) -> bool:
-        """Returns whether the command changed anything.
+        """Send a command, and return whether it changed anything.
 
         Raises:
-            RefusedError: it is refused; the text says why.
-            ServiceError: nobody answers.
+            RefusedError: the acquisition refuses the command; the text says why.
+            ServiceError: the acquisition does not answer in time.
         """
         asked = asyncio.create_task(self._request(command))
         self._pending.add(asked)
@@ -44,7 +43,7 @@ class Commander:
     def _on_request_done(self, request: asyncio.Task[bus.CommandReply]) -> None:
         self._pending.discard(request)
         if not request.cancelled():
-            request.exception()  # of a stop that was late for good, nobody wants to know any more
+            request.exception()  # marks the error of a late stop as seen: its caller has left
 
     async def _request(self, command: bus.AnyCommand) -> bus.CommandReply:
         socket = self._context.socket(zmq.REQ)
@@ -58,7 +57,7 @@ class Commander:
             socket.close()
 
     async def aclose(self) -> None:
-        """Give up what nobody has answered yet."""
+        """Cancel all commands without an answer."""
         for asked in self._pending:
             asked.cancel()
         await asyncio.gather(*self._pending, return_exceptions=True)

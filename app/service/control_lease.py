@@ -1,4 +1,4 @@
-"""Who has control of the tool: one operator at a time, until he has done nothing for a while."""
+"""Control of the tool: a lease that one operator at a time holds."""
 
 import time
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from config.errors import RefusedError
 
 
 class ControlLease:
-    """A lease by name. It ends by itself, is renewed by what its holder does, and is taken over only explicitly."""
+    """A lease by name. It expires, its holder's actions renew it, and others take it over only explicitly."""
 
     def __init__(self, expires_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._expires_s, self._clock = expires_s, clock
@@ -20,14 +20,14 @@ class ControlLease:
 
     @property
     def expires_in_s(self) -> float:
-        """0 when nobody has it."""
+        """Time until the lease expires without action of its holder; 0 if it is free."""
         return max(self._last_action_s + self._expires_s - self._clock(), 0.0) if self._holder_name else 0.0
 
     def acquire(self, name: str, *, take_over: bool = False) -> str | None:
-        """Have control from now on; returns who had it until now.
+        """Acquire control for `name`, and return the previous holder.
 
         Raises:
-            RefusedError: somebody else has it, and it is not taken `over`.
+            RefusedError: another person has control, and `take_over` is False.
         """
         before = self.holder
         if before not in (None, name) and not take_over:
@@ -40,12 +40,12 @@ class ControlLease:
         return before
 
     def renew(self, name: str | None) -> None:
-        """Its holder has done something; of others it is nothing."""
+        """Renew the lease after an action of `name`, if `name` holds it."""
         if name and name == self.holder:
             self._last_action_s = self._clock()
 
     def release(self, name: str) -> bool:
-        """Give it back; False: he did not have it."""
+        """Release control; return False if `name` does not have it."""
         if self.holder != name:
             return False
         self._holder_name = None

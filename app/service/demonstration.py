@@ -1,4 +1,4 @@
-"""The demonstration of `make run`: each tissue, an unknown one, too strong a grasp, until somebody takes over."""
+"""The demonstration of `make run`: each tissue, an unknown one and too strong a grasp, in turn."""
 
 import asyncio
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class DemoScene:
 
 
 def build_scenes(library: TissueLibrary) -> list[DemoScene]:
-    """What is shown, in turn."""
+    """Return the scenes of one round, in order."""
     named = [
         DemoScene(name, NORMAL_PROTOCOL, f"A grasp of {profile.title.lower()}: the answer should be its name")
         for name, profile in library.tissues.items()
@@ -44,7 +44,7 @@ def build_scenes(library: TissueLibrary) -> list[DemoScene]:
 
 
 async def run_demo(tool_service: ToolService) -> None:
-    """Run until a person takes over, a run fails, or it is cancelled."""
+    """Play the scenes in turn until a person takes over, a run fails or the task is canceled."""
     for scene in cycle(build_scenes(tool_service.plan.library)):
         await asyncio.sleep(PAUSE_S)
         while tool_service.demo_text and tool_service.phase is not Phase.IDLE:
@@ -55,4 +55,4 @@ async def run_demo(tool_service: ToolService) -> None:
         try:
             await tool_service.start_run(load_protocol(scene.protocol), GRASPS_PER_SCENE, scene.tissue, by=None)
         except GraspwatchError:
-            continue  # its alarm is on; the next round tries again
+            continue  # its alarm is on; the next scene is tried

@@ -1,5 +1,7 @@
-"""The live stream over the Foxglove WebSocket protocol: a process that shows Foxglove, Lichtblick and the like what the
-bus carries, in the topics of a recording."""
+"""The Foxglove worker: publishes the bus over the Foxglove WebSocket protocol, in the topics of a recording.
+
+Foxglove, Lichtblick and similar programs can connect to it.
+"""
 
 import json
 import time
@@ -23,14 +25,12 @@ from estimator.estimate_rows import estimate_columns, row_layouts
 HOST = "127.0.0.1"
 POLL_MS = 100
 STATUS_PERIOD_S = 0.5
-MAX_BACKLOG_MESSAGES = (
-    16_384  # five seconds of all topics, for a reader that is slow; after that the oldest are dropped
-)
+MAX_BACKLOG_MESSAGES = 16_384  # five seconds of all topics for a slow reader; after that the oldest are dropped
 
 
 @dataclass(frozen=True, slots=True)
 class FoxgloveSetup:
-    """All that the worker needs to know."""
+    """The setup that the worker receives."""
 
     parent_pid: int
     endpoints: bus.Endpoints
@@ -41,7 +41,7 @@ class FoxgloveSetup:
 
 
 def main(setup: FoxgloveSetup) -> None:
-    """Run until a signal."""
+    """Run the worker until a signal ends it."""
     stop = initialize_worker("foxglove", setup.parent_pid)
     context = zmq.Context()
     publisher = bus.open_publisher(context, setup.endpoints.foxglove)
@@ -67,7 +67,7 @@ def _run(sources: zmq.Socket, publisher: zmq.Socket, foxglove_publisher: "Foxglo
 
 
 class FoxglovePublisher:
-    """Puts each message of the bus on its channel, if anybody listens to that."""
+    """A publisher of bus messages on Foxglove channels; it encodes rows only for channels with subscribers."""
 
     def __init__(self, library: TissueLibrary, sample_rate_hz: float) -> None:
         self._tissues = list(library.tissues)
@@ -114,7 +114,7 @@ class FoxglovePublisher:
 
 
 class _RowChannel:
-    """A topic of rows, as in a recording."""
+    """A channel of protobuf rows, encoded as in a recording."""
 
     def __init__(self, topic: str, rows: RowLayout) -> None:
         schema = foxglove.Schema(name=rows.schema_name, encoding="protobuf", data=rows.descriptor_set)

@@ -1,4 +1,4 @@
-"""The service's eye on the chain of its journal: looks at the start and whenever somebody asks."""
+"""The service's check of its journal: when the service starts, and on request."""
 
 import asyncio
 import time
@@ -10,11 +10,11 @@ from app.messages.wire import JournalCheck, Priority
 from app.stream.alarms import AlarmManager
 from config.errors import GraspwatchError, JournalError
 
-CHECK_CACHE_S = 5.0  # many pages may ask
+CHECK_CACHE_S = 5.0  # many pages may ask at once
 
 
 class JournalWatch:
-    """A chain that is broken is a low alarm: nothing is wrong with the tool, but somebody has to know."""
+    """The journal's check with its alarm, whose priority is low: a broken chain does not affect the tool."""
 
     def __init__(self, data: Path, index_writer: IndexWriter, alarms: AlarmManager) -> None:
         self._data, self._index_writer, self._alarms = data, index_writer, alarms
@@ -32,11 +32,11 @@ class JournalWatch:
             pass  # the index has an alarm of its own
 
     async def check(self) -> JournalCheck:
-        """What was found not long ago, or now.
+        """Check the journal, or return the last result if it is at most CHECK_CACHE_S old.
 
         Raises:
             JournalError: the journal cannot be read.
-            ServiceError: the index cannot be asked.
+            ServiceError: the index cannot be queried.
         """
         async with self._check_lock:
             if self._last_check is None or time.monotonic() - self._last_check_s > CHECK_CACHE_S:
@@ -56,6 +56,6 @@ class JournalWatch:
             self._alarms.end("audit")
 
     async def aclose(self) -> None:
-        """End a look that is under way."""
+        """Cancel the check at the start if it is under way."""
         self._startup_check.cancel()
         await asyncio.gather(self._startup_check, return_exceptions=True)

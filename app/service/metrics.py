@@ -1,4 +1,4 @@
-"""What an administrator watches, for `GET /metrics`."""
+"""The Prometheus metrics that an administrator watches (`GET /metrics`)."""
 
 from prometheus_client import (
     CollectorRegistry,
@@ -22,7 +22,7 @@ SERVER_DELAY_BUCKETS_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0,
 
 
 class Metrics:
-    """One service's metrics in a registry of its own."""
+    """The metrics of one service, in a registry of their own."""
 
     def __init__(self) -> None:
         registry = self._registry = CollectorRegistry()
@@ -75,7 +75,7 @@ class Metrics:
         )
 
     def set_alarm_counts(self, alarms: list[Alarm]) -> None:
-        """How many of each kind and priority there are, none included."""
+        """Set the number of alarms of each kind and priority, zeros included."""
         for kind in AlarmKind:
             for priority in Priority:
                 count = sum(each.kind is kind and each.priority is priority for each in alarms)

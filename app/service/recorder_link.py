@@ -1,4 +1,4 @@
-"""The server's end of the recorder: what it tells the recorder, and what it makes of the answers."""
+"""The server's link to the recorder: sends runs and messages, and handles the recorder's notices."""
 
 import asyncio
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from config.service_plan import ServicePlan
 
 
 class RecorderLink:
-    """Tells the recorder of runs, and of all messages that are recorded; alarms where recording fails."""
+    """A link to the recorder, which raises alarms where recording fails."""
 
     def __init__(
         self,
@@ -43,20 +43,19 @@ class RecorderLink:
         self.state = RECORDER_OFF.model_copy(update={"enabled": enabled})
 
     def announce_run(self, run_metadata: RunMetadata) -> None:
-        """A run is about to begin; tell before the tool is told."""
+        """Announce a run to the recorder; call this before the acquisition starts the run."""
         self._send(pack_run_metadata(run_metadata))
 
     def send_message(self, message: BaseModel) -> None:
-        """A message to viewers, or a line of the journal."""
+        """Send a message to viewers or a journal line to the recorder, if recordings hold its kind."""
         topic = find_topic(message)
         if topic:
             self._send(bus.pack_server_message(topic, encode_message(message)))
 
     def _send(self, parts: list[bytes]) -> None:
-        self._socket.send_multipart(parts)  # PUB never waits: what a reader that hangs has no room for is dropped
+        self._socket.send_multipart(parts)  # never blocks: a PUB socket drops messages for a reader that hangs
 
     def on_notice(self, notice: dict[str, Any]) -> None:
-        """What the recorder says."""
         match notice["kind"]:
             case "recording":
                 self._update_state({name: notice[name] for name in ("file", "samples", "missing_blocks")})
@@ -71,7 +70,7 @@ class RecorderLink:
                 self._publish_event(notice["text"])
 
     def on_worker_death(self, text: str) -> None:
-        """The recorder died; the supervisor has said how."""
+        """Raise an alarm after the recorder died; `text` is the supervisor's account of the death."""
         self._mark_stopped("the recorder died")
         self._alarms.raise_technical("recorder", Priority.MEDIUM, f"{text} Meanwhile nothing is recorded.")
         self._publish_event(text)
@@ -98,7 +97,7 @@ class RecorderLink:
             self._index_writer.enqueue(reading.result())
 
     async def aclose(self) -> None:
-        """After the recorder has ended: put what it recorded last into the index, and close."""
+        """Put the last recording into the index, and close; call this after the recorder has ended."""
         if self.state.file:
             self._index_file(self._recordings_folder / self.state.file)
         await asyncio.gather(*self._file_read_tasks, return_exceptions=True)

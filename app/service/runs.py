@@ -1,4 +1,4 @@
-"""The book of runs: which one is under way, which came before, and whose each grasp is."""
+"""The registry of runs: the run under way, earlier runs, and the grasps of each."""
 
 import secrets
 from dataclasses import dataclass, field
@@ -48,7 +48,7 @@ class RunRegistry:
     def begin(
         self, protocol: str, cycles: int, tissue: str | None, by: str | None, start_tick: int, prefix: str = ""
     ) -> Run:
-        """A new run, under way from now on; its grasps begin after `start_tick`, its id with `prefix`."""
+        """Begin a run and return it. Its grasps begin at `start_tick` or later; its id begins with `prefix`."""
         self._run_count += 1
         now = datetime.now(UTC)
         run = Run(
@@ -70,13 +70,13 @@ class RunRegistry:
         return run
 
     def discard(self, run_id: str) -> None:
-        """The run was refused: it never was."""
+        """Remove a run that the acquisition did not start."""
         self._entries.pop(run_id, None)
         if self.current_id == run_id:
             self.current_id = None
 
     def end(self, run_id: str, state: RunState, why: str) -> bool:
-        """End a run; False if it is not the one under way."""
+        """End a run; return False if it is not the one under way."""
         if run_id != self.current_id:
             return False
         entry = self._entries[run_id]
@@ -85,7 +85,7 @@ class RunRegistry:
         return True
 
     def add_grasp(self, grasp: Grasp, start_tick: int) -> tuple[str | None, Grasp]:
-        """File a finished grasp under the run in which it began; returns that run and the grasp as numbered there."""
+        """Add a finished grasp to the run in which it began; return the run's id, if any, and the renumbered grasp."""
         for run_id, entry in reversed(self._entries.items()):
             if entry.tick_epoch == self._tick_epoch and entry.start_tick <= start_tick:
                 grasp = grasp.model_copy(update={"index": len(entry.grasps) + 1})
@@ -95,5 +95,5 @@ class RunRegistry:
         return None, grasp
 
     def reset_ticks(self) -> None:
-        """The acquisition was restarted: its ticks count from zero again."""
+        """Note that the acquisition was restarted, and its ticks count from zero again."""
         self._tick_epoch += 1

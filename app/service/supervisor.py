@@ -1,4 +1,4 @@
-"""Starts the workers, notices their death within milliseconds, and restarts them a bounded number of times."""
+"""The supervisor: starts the workers, notices deaths within milliseconds, and restarts a bounded number of times."""
 
 import asyncio
 import multiprocessing
@@ -31,11 +31,11 @@ SHUTDOWN_TIMEOUT_S = 1.5
 RESET_TIMEOUT_S = 3.0
 RESET_RETRY_S = 0.05
 ZERO_WAIT_S = 0.1
-"""So long a reset may take before the death of the worker is told; usual are 10 ms."""
+"""Time to wait for a reset of the board before the worker's death is reported; a reset usually takes 10 ms."""
 
 
 class WorkerCondition(StrEnum):
-    """How a worker is."""
+    """The condition of a worker."""
 
     STARTING = "starting"
     RUNNING = "running"
@@ -56,7 +56,7 @@ class Worker:
 
 
 class Supervisor:
-    """Owns the worker processes of one service."""
+    """The owner of one service's worker processes."""
 
     def __init__(
         self,
@@ -65,9 +65,11 @@ class Supervisor:
         on_motor_fault: Callable[[str | None], None],
         supervise_task: Callable[[asyncio.Task[None]], None],
     ) -> None:
-        """`on_death(worker, text)` is called in the event loop when a worker has died unasked, `on_motor(text)` when
-        the motor of a dead one could not be brought to zero, and `on_motor(None)` when it is there. `watch_over` takes
-        each task that must not end unnoticed."""
+        """Prepare the workers. All callbacks are called in the event loop.
+
+        `on_death(worker, text)`: a worker died unasked. `on_motor_fault(text)`: the motor of a dead worker could not be
+        brought to zero; with None: it is at zero. `supervise_task(task)`: watches a task that must not end unnoticed.
+        """
         self._plan = plan
         self._on_death, self._on_motor_fault, self._supervise_task = on_death, on_motor_fault, supervise_task
         self._socket_folder = tempfile.TemporaryDirectory(prefix="graspwatch-")
@@ -99,11 +101,11 @@ class Supervisor:
             "estimator": Worker("estimator", estimator_worker.main, estimator),
             "recorder": Worker("recorder", recorder_worker.main, recorder),
         }
-        if plan.tool.kind is ToolKind.NIDAQ:  # a simulated tool's motor is gone with its worker
+        if plan.tool.kind is ToolKind.NIDAQ:  # a simulated tool's motor ends with its worker
             setup = safety_monitor.SafetyMonitorSetup(os.getpid(), self.endpoints, plan.tool, plan.settings.realtime)
             self.workers["guard"] = Worker("guard", safety_monitor.main, setup)
         if plan.settings.foxglove.port:
-            from app.service import foxglove_worker  # with its library, only where it is asked for
+            from app.service import foxglove_worker  # imports its library only where it is needed
 
             setup = foxglove_worker.FoxgloveSetup(
                 os.getpid(),
@@ -116,7 +118,7 @@ class Supervisor:
             self.workers["foxglove"] = Worker("foxglove", foxglove_worker.main, setup)
 
     def set_initial_fault(self, why: str) -> None:
-        """What the next acquisition worker begins with; empty: nothing is at fault."""
+        """Set the fault that the next acquisition worker begins with; empty for none."""
         acquisition = self.workers["acquisition"]
         acquisition.setup = replace(acquisition.setup, previous_fault=why)
 
@@ -133,11 +135,14 @@ class Supervisor:
 
     @property
     def has_safety_monitor(self) -> bool:
-        """Whether a motor that outlives its worker has its guard."""
+        """Whether the safety monitor runs, or the tool is simulated and needs none."""
         return "guard" not in self.workers or self.workers["guard"].condition is WorkerCondition.RUNNING
 
     def mark_running(self, name: str) -> bool:
-        """A worker has shown that it does its work; returns whether that is news. A dead one's last words are none."""
+        """Mark a worker as running after a message from it; return whether that is a change.
+
+        Late messages of a worker that has died are ignored.
+        """
         worker = self.workers[name]
         if worker.condition is not WorkerCondition.STARTING or not (worker.process and worker.process.is_alive()):
             return False
@@ -148,7 +153,7 @@ class Supervisor:
         self._start(self.workers["recorder"])
 
     def start_acquisition(self) -> None:
-        """It makes itself ready, and waits until the tool may be opened."""
+        """Start the acquisition, which prepares itself and waits for `open_tool`."""
         self._start(self.workers["acquisition"])
 
     def open_tool(self) -> None:
@@ -169,7 +174,7 @@ class Supervisor:
         self._supervise_task(replacing)
 
     async def _restart(self, worker: Worker, process: BaseProcess) -> None:
-        """Bring the motor of a dead worker to zero, tell its death, and start another one unless that is hopeless."""
+        """Zero the motor of a dead acquisition, report the death, and start a new worker unless that is hopeless."""
         worker.death_times_s.append(time.monotonic())
         often = (
             len(worker.death_times_s) > MAX_RESTARTS_PER_MINUTE
@@ -190,7 +195,7 @@ class Supervisor:
             self._start(worker)
 
     async def _zero_motor(self) -> None:
-        """The board holds its last output when its owner dies; only a reset brings it to zero."""
+        """Reset the board: it holds its last output when its owner dies, and only a reset brings it to zero."""
         if self._plan.tool.kind is not ToolKind.NIDAQ:
             return
         try:
@@ -221,7 +226,7 @@ class Supervisor:
         return f"died (signal {-process.exitcode})" if process.exitcode < 0 else f"died (exit code {process.exitcode})"
 
     def is_blocked(self, name: str) -> bool:
-        """Whether something keeps a worker from running: it is stopped, waits for the disk, or gets no processor."""
+        """Return whether a worker cannot run: it is stopped, waits for the disk, or gets no processor."""
         worker = self.workers[name]
         if not worker.process:
             return False
@@ -229,14 +234,14 @@ class Supervisor:
         return worker.activity.is_suspended or (worker.activity.is_runnable and worker.activity == before)
 
     def kill(self, name: str) -> None:
-        """End a worker that does not answer any more; its death is then handled like any other."""
+        """Kill a worker that does not answer; its death is then handled like any other."""
         worker = self.workers[name]
         if worker.process and worker.process.is_alive():
             worker.hung_process = worker.process
             worker.process.kill()
 
     async def stop(self) -> None:
-        """End the workers in order; what does not end is killed."""
+        """Terminate the workers, kill those that hang, and zero the motor if the acquisition did not end in order."""
         self._shutting_down = True
         processes = [worker.process for worker in self.workers.values() if worker.process]
         for process in processes:

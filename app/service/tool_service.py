@@ -1,4 +1,4 @@
-"""The server's picture of the tool: follows the bus, keeps runs and alarms, tells the viewers, passes commands on."""
+"""The tool service: follows the workers on the bus, keeps runs and alarms, serves viewers and sends commands."""
 
 import asyncio
 import contextlib
@@ -60,18 +60,18 @@ from config.service_plan import ServicePlan
 from estimator.estimate_block import finite_or_none
 from estimator.worker import unpack_estimates
 
-MAX_INITIAL_GRASPS = 200  # of the last run, to a viewer who comes
-MAX_MESSAGES_PER_TURN = 50  # messages of the workers, before anything else gets its turn
+MAX_INITIAL_GRASPS = 200  # finished grasps of the last run that a new viewer receives
+MAX_MESSAGES_PER_TURN = 50  # of one bus socket, before other tasks of the event loop run
 LOW_DISK_BYTES = 200e6  # a few minutes of a recording
 LOSS_ALARM_DURATION_S = 5.0
 HEARTBEAT_PERIOD_S = 0.05
-"""From one to the next; a run ends when they stop for `server_silence_s`, which is at least six of them."""
-LATE_SAMPLES_S = 0.1  # samples read later than this are told
-CLOCK_DRIFT_PER_BLOCK_S = 5e-7  # a block: 100 ppm between the board's clock and the computer's
+"""A run ends when signs of life stop for `server_silence_s`, which is at least six of these periods."""
+LATE_SAMPLES_S = 0.1  # samples read later than this count as late
+CLOCK_DRIFT_PER_BLOCK_S = 5e-7  # 100 ppm between the clocks of board and computer, for a block of 5 ms
 
 
 class ToolService:
-    """One tool, its runs, its viewers."""
+    """The server's picture of one tool, with its workers, runs, alarms and viewers."""
 
     def __init__(self, plan: ServicePlan, store: Store, log_context: LogContext) -> None:
         self.plan, self.log_context = plan, log_context
@@ -112,17 +112,17 @@ class ToolService:
         self._last_tick = -1
         self._limit_n: float | None = None
         self._fault_texts: dict[str, str] = {}
-        self.block_listeners: list[Callable[[SampleBlock], None]] = []  # get every block
-        self.realtime: dict[str, str] = {}  # what the system granted each worker
-        self._acquisition_died_ns = 0  # the last acquisition worker
+        self.block_listeners: list[Callable[[SampleBlock], None]] = []  # called with every block
+        self.realtime: dict[str, str] = {}  # scheduling that the system granted each process
+        self._acquisition_died_ns = 0  # monotonic time at which the last acquisition worker died
         self._shutting_down = False
         self._stop_count = 0
-        self.estimator_ready = asyncio.Event()  # from then on the tool is opened
+        self.estimator_ready = asyncio.Event()  # once it is set, the acquisition may open the tool
 
     # --- life --------------------------------------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Start the workers; the tool is opened when the filters, which may have to be compiled, are ready."""
+        """Start the workers. The tool is opened once the filters are ready, which may have to be compiled."""
         self.index_writer.start()
         self._fail_interrupted_runs()
         if self.plan.opened_recordings:
@@ -149,18 +149,21 @@ class ToolService:
         self.realtime["server"] = str(self._realtime_priority)
 
     def _fail_interrupted_runs(self) -> None:
-        """Those of a service that was killed; unless another one lives, whose they may be."""
+        """Mark runs that a killed service left open as failed.
+
+        If another service uses the same index, the runs may belong to it and stay open.
+        """
         for run in self.index_writer.store.find_unfinished_runs() if self.index_writer.store.is_first_user else []:
             why = "the service was ended from outside during the run"
             run = run.model_copy(update={"state": RunState.FAILED, "why": why})
             self.journal.write(JournalKind.RUN, f"Run {run.id} failed: {why}", run=run)
 
     def supervise_task(self, task: asyncio.Task[None]) -> None:
-        """A part of the server must not end unnoticed."""
+        """Watch a task that must not end unnoticed."""
         task.add_done_callback(self._on_task_end)
 
     def _on_task_end(self, task: asyncio.Task[None]) -> None:
-        """An unexpected end of a part of the server: motor to zero, say so, and be unhealthy from then on."""
+        """If a task failed, bring the motor to zero, raise an alarm and report the service as faulted."""
         if task.cancelled() or not task.exception():
             return
         self.internal_error = f"The server failed inside ({task.exception()!r}). Start the service again."
@@ -169,14 +172,14 @@ class ToolService:
         self._stop_task = asyncio.create_task(self._commander.send(bus.StopCommand("the server failed")))
 
     async def halt(self) -> None:
-        """Motor to zero before anything else, and nobody starts anything any more."""
+        """Stop the run under way, and refuse every start from now on."""
         self._shutting_down = True
         if self.runs.current:
-            with contextlib.suppress(ServiceError):  # a worker that does not answer is ended with the others
+            with contextlib.suppress(ServiceError):  # `stop` ends a worker that does not answer
                 await self.stop_run("the service was ended")
 
     async def stop(self) -> None:
-        """Motor to zero, workers ended."""
+        """Bring the motor to zero, then end the tasks and the workers."""
         try:
             await self.halt()
         finally:
@@ -199,12 +202,13 @@ class ToolService:
         by: str | None,
         unmeasured_scale_reason: str = "",
     ) -> Run:
-        """Start a protocol; a tool that is not armed is armed first, unless the settings forbid it.
+        """Start a run. A tool that is not armed is armed first, unless the settings forbid it.
 
-        `unmeasured`: why the tool may be armed although its force scale is not measured.
+        `unmeasured_scale_reason`: why the tool may be armed although its force scale is not measured.
 
         Raises:
-            RefusedError: a fault is latched, the tool cannot be armed, another run began, or the acquisition refuses.
+            RefusedError: a fault is latched, the tool cannot be armed, another run is under way, the service is ending,
+                or the acquisition refuses.
             ServiceError: the acquisition does not answer.
         """
         self.arming.check_no_fault()
@@ -218,7 +222,7 @@ class ToolService:
             raise RefusedError("The tool is armed for a calibration alone. Disarm it first.")
         self._check_can_start()
         prefix = DEMO_ID_PREFIX if self.demo_text else ""
-        run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # nobody else may start now
+        run = self.runs.begin(protocol.name, cycles, tissue, by, self._last_tick, prefix)  # refuses every other start
         self.log_context.run = run.id
         self.recorder_link.announce_run(RunMetadata(run.id, protocol.model_dump_json(), cycles, tissue, by))
         try:
@@ -226,7 +230,7 @@ class ToolService:
         except GraspwatchError as error:
             self.runs.discard(run.id)
             self.log_context.run = None
-            if isinstance(error, ServiceError):  # it may yet obey
+            if isinstance(error, ServiceError):  # the acquisition may still obey
                 with contextlib.suppress(ServiceError):
                     await self._commander.send(bus.StopCommand("nobody waits for this run any more"))
             raise
@@ -234,13 +238,13 @@ class ToolService:
         self.simulated_tissue = tissue or self.simulated_tissue
         held = f", {build_graspable_library(self.plan.library).tissues[tissue].title.lower()}" if tissue else ""
         self.publish_event(f"Run started: {protocol.title}, {cycles} grasps{held}", JournalKind.RUN, by, run)
-        if self._stop_count != stops:  # the worker may have heard of that before it heard of the start
+        if self._stop_count != stops:  # the acquisition may have received the stop before the start
             await self.stop_run("it was stopped while it began")
         self.publish_state()
         return self.runs.get(run.id) or run
 
     async def set_simulated_load(self, load: bus.SimulatedLoadCommand) -> None:
-        """What a simulated tool's handle and jaws get.
+        """Set the pull on a simulated tool's handle and the gauge between its jaws.
 
         Raises:
             ServiceError: the acquisition does not answer.
@@ -248,9 +252,10 @@ class ToolService:
         await self._commander.send(load)
 
     def _check_can_start(self) -> None:
-        """
+        """Check that the service is not ending and no run is under way.
+
         Raises:
-            RefusedError: the service ends, or somebody else was faster.
+            RefusedError: either is the case; the text says which.
         """
         if self._shutting_down:
             raise RefusedError("The service is being ended: start nothing any more.")
@@ -258,14 +263,15 @@ class ToolService:
             raise RefusedError(f"Run {self.runs.current.id} is under way. Stop it first.")
 
     async def stop_run(self, why: str, find_requester: Callable[[], Awaitable[str | None]] | None = None) -> bool:
-        """Motor to zero at once; returns whether a run was stopped. Never refuses. `who` asked for it is found out
-        afterwards.
+        """Bring the motor to zero at once, and return whether a run was stopped. A stop is never refused.
+
+        `find_requester` returns the requester's name; it is awaited after the stop, which it cannot delay.
 
         Raises:
-            ServiceError: the acquisition does not answer; its motor is zeroed by the supervisor when it has died.
+            ServiceError: the acquisition does not answer; if it has died, the supervisor zeroes the motor.
         """
         if not self.estimator_ready.is_set():
-            return False  # there is no motor, or nothing that could move it yet
+            return False  # no motor exists, or no worker can move it yet
         self._stop_count += 1
         effect = await self._commander.send(bus.StopCommand(why))
         current = self.runs.current
@@ -278,17 +284,17 @@ class ToolService:
         )
         return effect
 
-    # --- what the workers say ----------------------------------------------------------------------------------------
+    # --- messages of the workers -------------------------------------------------------------------------------------
 
     async def _listen(self, address: str, on_message: Callable[[list[bytes]], None]) -> None:
-        """Hand what is published at the address to `take`.
+        """Pass each message published at `address` to `on_message`.
 
-        The loop watches the socket itself: a future for each message took as long as what is done with it.
+        The event loop watches the socket itself: a future for each message cost as much time as handling it.
         """
         loop, readable = asyncio.get_running_loop(), asyncio.Event()
         socket = bus.open_subscriber(self._subscriber_context, address)
         loop.add_reader(socket.FD, readable.set)
-        readable.set()  # what came before the line above is not told
+        readable.set()  # messages that came before the line above do not wake the loop
         try:
             while True:
                 await readable.wait()
@@ -311,7 +317,7 @@ class ToolService:
         block = bus.unpack_samples(parts)
         is_alive = block.t_mono_ns > self._acquisition_died_ns
         if is_alive and self.supervisor.mark_running("acquisition"):
-            self.alarms.end("motor")  # who opens the board writes zero first
+            self.alarms.end("motor")  # a worker that opens the board first writes zero
             self.publish_state()
         if self._sample_sequence.is_out_of_order(block):
             return
@@ -338,7 +344,7 @@ class ToolService:
         self._aligner.add_samples(block)
 
     def _observe_lateness(self, block: SampleBlock) -> None:
-        """Against the promptest block so far: the sample clock says when each could be read."""
+        """Measure how much later a block was read than the promptest so far, relative to the sample clock."""
         clock_s = (int(block.samples["tick"][-1]) + 1) / self.plan.tool.board.sample_rate_hz
         behind_s = block.t_mono_ns / 1e9 - clock_s
         if block.sequence == 1:
@@ -347,7 +353,7 @@ class ToolService:
         self.metrics.acquisition_lateness.observe(behind_s - self._min_delay_s)
 
     def _check_lateness(self, block: SampleBlock) -> None:
-        """Count samples that are read late; in a run, where the limiter then acts as late, raise an alarm."""
+        """Count a block that was read late; in a run, where the limiter then acts late too, raise an alarm."""
         if block.backlog <= LATE_SAMPLES_S * self.plan.tool.board.sample_rate_hz:
             return
         self.metrics.late_blocks.inc()
@@ -362,7 +368,7 @@ class ToolService:
         return EventTranslator(self.plan.library, rate_hz, self.alarms, self._publish, self._on_grasp_ended)
 
     def _publish(self, message: BaseModel) -> None:
-        """To the viewers, and to those who keep it."""
+        """Send a message to the viewers, the recorder and the index."""
         if isinstance(message, Identification):
             self.log_context.grasp = message.grasp if message.in_grasp else None
         self.viewer_hub.broadcast(message)
@@ -374,7 +380,7 @@ class ToolService:
             self.index_writer.enqueue(message)
 
     def _reset_grasp(self) -> None:
-        """A worker begins anew: nobody will tell the end of what was under way."""
+        """Forget the grasp under way after a worker died or restarted: no message about its end will come."""
         self.log_context.grasp = None
         self.alarms.end_force_alarm()
         self._translator = self._make_translator()
@@ -392,7 +398,7 @@ class ToolService:
             self.alarms.end("index")
 
     def _check_disk(self) -> None:
-        """Once a second: room for what is kept, and samples that were lost or late a while ago."""
+        """Update the alarms about disk space, and end those about samples lost or late some seconds ago."""
         self._free_bytes = free_bytes(self.plan.data_folder)
         if self._free_bytes is None:
             self.alarms.raise_technical(
@@ -497,7 +503,7 @@ class ToolService:
             self.publish_state()
 
     def _on_motor_fault(self, fault: str | None) -> None:
-        """Whether the motor that nobody drives any more could be brought to zero."""
+        """Raise an alarm if the motor of a dead or silent worker cannot be brought to zero; None ends the alarm."""
         if fault:
             self.alarms.raise_technical("motor", Priority.HIGH, fault)
         else:
@@ -545,7 +551,7 @@ class ToolService:
         self.publish_state()
 
     async def _send_heartbeats(self, address: str) -> None:
-        """Tell the acquisition that the event loop, which carries STOP, goes round. Belongs into no other thread."""
+        """Send signs of life to the acquisition from the event loop that carries STOP, never from another thread."""
         signs = bus.open_publisher(self._context, address)
         try:
             while True:
@@ -556,10 +562,10 @@ class ToolService:
         finally:
             signs.close()
 
-    # --- what the viewers get ----------------------------------------------------------------------------------------
+    # --- messages to the viewers -------------------------------------------------------------------------------------
 
     async def _run_frame_loop(self) -> None:
-        """Cut frames at a steady rate; once a second tell the state; watch for silence."""
+        """Send frames at a steady rate, check for silent workers, and publish the state once a second."""
         period_s = 1.0 / self.plan.settings.server.frame_rate_hz
         due, told_s = time.monotonic(), 0.0
         while True:
@@ -580,7 +586,7 @@ class ToolService:
                 self.publish_state()
 
     def render_metrics(self) -> bytes:
-        """As Prometheus reads it."""
+        """Return the metrics in the text format of Prometheus."""
         self.metrics.phase.state(self.phase.value)
         self.metrics.set_alarm_counts(self.alarms.current_alarms())
         self.metrics.free_disk.set(float("nan") if self._free_bytes is None else self._free_bytes)
@@ -590,7 +596,7 @@ class ToolService:
         return self.metrics.render()
 
     def worker_conditions(self) -> dict[str, str]:
-        """How each worker is; a service without a tool has none."""
+        """Return each worker's condition; empty for a service that only shows recordings."""
         if self.plan.opened_recordings:
             return {}
         return {name: worker.condition.value for name, worker in self.supervisor.workers.items()}
@@ -639,7 +645,7 @@ class ToolService:
         self.viewer_hub.broadcast(self.build_state())
 
     def release_control(self, name: str) -> bool:
-        """False: he did not have it."""
+        """Release control of the tool; return False if `name` did not have it."""
         if not self.control_lease.release(name):
             return False
         self.publish_event("Control given back", JournalKind.ACCESS, name)
@@ -657,12 +663,12 @@ class ToolService:
     def publish_event(
         self, text: str, kind: JournalKind = JournalKind.EVENT, by: str | None = None, run: Run | None = None
     ) -> None:
-        """To the viewers and the journal."""
+        """Write an event to the journal and send it to the viewers."""
         self.journal.write(kind, text, by=by, run=run)
         self.viewer_hub.broadcast(EventMessage(server_time_ms=now_ms(), text=f"{text}, by {by}" if by else text))
 
     def initial_messages(self) -> tuple[list[Any], list[bytes]]:
-        """What a new viewer gets first: messages, and the last seconds of samples."""
+        """Return a new viewer's first messages, and frames with the last seconds of samples."""
         plan = self.plan
         messages: list[Any] = [
             build_hello(plan, plan.tool, recording=bool(plan.opened_recordings)),

@@ -1,4 +1,4 @@
-"""Notices workers that fall silent: raises technical alarms meanwhile, and ends those that hang."""
+"""The watchdog: raises a technical alarm while a worker is silent, and kills a worker that hangs."""
 
 import time
 from collections.abc import Callable
@@ -9,17 +9,17 @@ from app.stream.alarms import AlarmManager
 
 SILENCE_ALARM_S = 0.4
 HUNG_TIMEOUT_S = 2.0  # a worker silent for longer is killed and replaced
-RECORDER_HUNG_TIMEOUT_S = 10.0  # a disk may take its time
+RECORDER_HUNG_TIMEOUT_S = 10.0  # longer, because a disk may be slow
 SAFETY_MONITOR_HUNG_TIMEOUT_S = 2.0
 MAX_BLOCKED_S = 60.0
-"""So long a worker may be stopped or swapped out before it is replaced: the bus keeps a minute of blocks for it."""
+"""Time that a worker may be stopped or swapped out before it is killed: the bus keeps a minute of blocks for it."""
 
 
 class Watchdog:
-    """Judges by what arrives, without a heartbeat of its own.
+    """A monitor of the workers' silence, judged by the messages that arrive.
 
-    Silence is what passes while this process could have listened: what came while it was held up waits to be read, and
-    whoever was stopped together with it has to get going again.
+    Only time in which this process could listen counts as silence. After a stop of the whole machine, messages still
+    wait to be read, and the workers need time to resume.
     """
 
     def __init__(self, supervisor: Supervisor, alarms: AlarmManager, publish_event: Callable[[str], None]) -> None:
@@ -27,9 +27,9 @@ class Watchdog:
         self._alarms = alarms
         self._publish_event = publish_event
         self._last_heard_s = {"acquisition": 0.0, "estimator": 0.0, "recorder": 0.0, "guard": 0.0}
-        self._own_delay_s = 0.0  # altogether
+        self._own_delay_s = 0.0  # total time in which this process could not listen
         self._last_check_s = time.monotonic()
-        self._blocked_s: dict[str, float] = {}  # of the present silence: time in which the worker could not run
+        self._blocked_s: dict[str, float] = {}  # by worker: part of its present silence in which it could not run
         self._sampling_since_s = self._estimating_since_s = 0.0
         self.is_sampling = False
 
@@ -41,14 +41,14 @@ class Watchdog:
         self._blocked_s.pop(worker, None)
 
     def on_estimator_started(self) -> None:
-        """A new estimator: its predecessor's silence is not its own."""
+        """Start the estimator's silence anew, so that a new process does not inherit its predecessor's."""
         self._estimating_since_s = self._listening_time_s()
         self._blocked_s.pop("estimator", None)
 
     def check(self, own_delay_s: float = 0.0) -> None:
-        """Raise a technical alarm while a worker is silent, and end it when it speaks again.
+        """Raise an alarm for each silent worker, end the alarms of the others, and kill workers that hang.
 
-        `held_up_s`: so long this process did not listen since it watched last.
+        `own_delay_s`: time since the last check in which this process could not listen.
         """
         self._own_delay_s += own_delay_s
         now = self._listening_time_s()
@@ -56,7 +56,7 @@ class Watchdog:
         alive = {name: worker.condition is WorkerCondition.RUNNING for name, worker in self._supervisor.workers.items()}
         before, self.is_sampling = self.is_sampling, now - self._last_heard_s["acquisition"] < SILENCE_ALARM_S
         if not before:
-            self._sampling_since_s = now  # until then the estimator had nothing to answer
+            self._sampling_since_s = now  # before, the estimator had no samples to answer
         silent_s = {
             "acquisition": now - self._last_heard_s["acquisition"],
             "estimator": now - max(self._last_heard_s["estimator"], self._sampling_since_s, self._estimating_since_s),
@@ -82,7 +82,7 @@ class Watchdog:
                 self._kill_if_hung(name, since_s, HUNG_TIMEOUT_S, since_last_s)
 
     def _check_heartbeat(self, name: str, now: float, hung_s: float, since_last_s: float, consequence: str) -> None:
-        """Watch a worker that sends a sign of life, whether it has anything to do or not."""
+        """Check a worker that sends signs of life even when it is idle."""
         heard_s = self._last_heard_s[name]
         if not heard_s or self._supervisor.workers[name].condition is not WorkerCondition.RUNNING:
             return
@@ -93,7 +93,7 @@ class Watchdog:
         self._kill_if_hung(name, now - heard_s, hung_s, since_last_s)
 
     def _kill_if_hung(self, name: str, silent_s: float, hung_s: float, since_last_s: float) -> None:
-        """End a worker that was silent for `hung_s` although it could run; one that is held up gets a minute."""
+        """Kill a worker that was silent for `hung_s` while it could run; a blocked worker gets MAX_BLOCKED_S more."""
         unable_s = self._blocked_s.get(name, 0.0)
         if unable_s < MAX_BLOCKED_S and self._supervisor.is_blocked(name):
             unable_s = self._blocked_s[name] = unable_s + since_last_s
