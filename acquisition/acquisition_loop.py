@@ -64,10 +64,7 @@ def describe_release(why: str) -> str:
 
 
 class AcquisitionController:
-    """Control of one sample source and its motor, which moves only while a run plays its protocol.
-
-    `safety` is the present state of the tool, and `why` the reason for a fault or for a failed self-test.
-    """
+    """Control of one sample source and its motor, which moves only while a run plays its protocol."""
 
     def __init__(
         self,

@@ -108,10 +108,7 @@ class SequenceTracker:
         self.missing = 0
 
     def is_out_of_order(self, block: SampleBlock) -> bool:
-        """Return whether a later block came first. Its arrival counted this one as missing.
-
-        A restarted sender's blocks have lower numbers but later times, and are in order.
-        """
+        """Return whether a later block came first and counted this one as missing; after a restart none did."""
         return (
             self._last_sequence is not None
             and block.sequence <= self._last_sequence
@@ -138,10 +135,7 @@ class SequenceTracker:
 
 @dataclass(frozen=True, slots=True)
 class ThresholdUpdate:
-    """The injury threshold in force, N, as known at sample `tick`.
-
-    `tissue` is the tissue that has it, None for the library's lowest threshold.
-    """
+    """The injury threshold in force, N, as known at sample `tick`, and its tissue; None: the library's lowest."""
 
     threshold_n: float
     tissue: str | None
@@ -207,10 +201,7 @@ class StopCommand:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedLoadCommand:
-    """Load a simulated tool: a pull on its handle, N (0: none), and a gauge between its jaws, m.
-
-    A gauge of 0 m is empty jaws; None puts tissue between them again.
-    """
+    """Set the pull, N, on a simulated tool's handle and the gauge, m, between its jaws (0: empty, None: tissue)."""
 
     pull_n: float
     gauge_m: float | None

@@ -10,9 +10,7 @@ ROUNDING_TOLERANCE = 1e-9
 
 
 def command_cycle(protocol: GraspProtocol, tool: Tool) -> np.ndarray:
-    """Return the motor command of one grasp and its rest, V, shape (n,), at the tool's sample rate.
-
-    The command begins at 0.
+    """Return the command of one grasp and its rest, V, shape (n,), at the tool's sample rate; it begins at 0.
 
     Raises:
         RefusedError: the command exceeds the tool's limits or rises faster than they allow.
@@ -101,10 +99,7 @@ class ProtocolPlayer:
         return self._position >= self.total_samples
 
     def next_command(self, samples: int) -> float:
-        """Return the command of the first of the next `samples` samples, V, and advance by them.
-
-        The command is 0 in the lead-in and after the end.
-        """
+        """Return the first command of the next `samples` samples, V, and advance; 0 in the lead-in and at the end."""
         at, self._position = self._position - self._lead_in, self._position + samples
         if at < 0 or at >= self._cycles * len(self._cycle):
             return 0.0

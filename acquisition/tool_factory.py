@@ -62,11 +62,7 @@ def _build_simulated_tool(
     tool: Tool, library: TissueLibrary, tissue: str, seed: int, virtual: bool
 ) -> tuple[nidaqmx.GrpcSessionOptions, Callable[[], int], "SimulatedGrasper"]:
     """Return the session options and the clock of a simulated board, and its grasper."""
-    from acquisition.simulation.board import (
-        RealClock,
-        SimulatedBoard,
-        VirtualClock,
-    )  # imported for simulated tools only
+    from acquisition.simulation.board import RealClock, SimulatedBoard, VirtualClock  # for simulated tools only
     from acquisition.simulation.grasper import SimulatedGrasper
     from acquisition.simulation.service import create_in_process_options
 

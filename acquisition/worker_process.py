@@ -62,10 +62,7 @@ def limit_memory() -> None:
 
 
 def freeze_garbage_collector() -> None:
-    """Freeze existing objects and disable the collector, whose full collection took 31 ms.
-
-    From here on only reference counts free memory.
-    """
+    """Freeze existing objects and disable the collector, whose full collection took 31 ms."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -194,10 +191,7 @@ def read_activity(pid: int) -> ProcessActivity:
 
 
 def start_child_process(process: BaseProcess) -> None:
-    """Start a process and then set it to the usual priority.
-
-    While it loads it keeps its parent's priority, because the parent waits for it.
-    """
+    """Start a process and then lower it to the usual priority: while it loads, its parent waits for it."""
     process.start()
     os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
 
@@ -235,7 +229,7 @@ def _set_scheduler(policy: int, priority: int) -> None:
 
 
 def _for_each_thread(action: Callable[[int], None]) -> None:
-    """Call `action` with the id of each thread of this process, those of libraries included."""
+    """Call `action` with the id of each thread of this process, including threads of libraries."""
     for thread in os.listdir("/proc/self/task"):
         with contextlib.suppress(ProcessLookupError):  # the thread has ended meanwhile
             action(int(thread))

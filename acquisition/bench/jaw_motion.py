@@ -96,10 +96,7 @@ def concatenate_signals(blocks: list[RawBlock]) -> RawSignals:
 
 @contextlib.contextmanager
 def zero_on_process_death(tool: Tool) -> Iterator[None]:
-    """Run a watching process inside the `with` block; it resets the board if this process is killed.
-
-    A board holds its last output when its process dies.
-    """
+    """Run a process inside the `with` block that resets the board if this one is killed: the board holds its output."""
     if tool.kind is not ToolKind.NIDAQ:
         yield  # a simulated board ends with the process
         return

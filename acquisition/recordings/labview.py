@@ -48,9 +48,7 @@ def read_lvm(path: Path, tool: Tool) -> np.ndarray:
 
 
 def read_start_time(path: Path) -> datetime | None:
-    """Return when a LabVIEW measurement began, or None if the file does not say it.
-
-    The time is that computer's local time, without a time zone.
+    """Return the local time at which a LabVIEW measurement began, or None if the file does not say it.
 
     Raises:
         RecordingError: the file cannot be read.

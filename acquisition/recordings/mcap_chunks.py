@@ -6,8 +6,8 @@ import lz4.frame
 import zstandard
 from mcap.records import Chunk
 
-MAX_CHUNK_BYTES = 64 * 2**20  # chunks of Graspwatch have less than 1 MiB
-MAX_COMPRESSION_RATIO = 200  # chunks of Graspwatch have about 8
+MAX_CHUNK_BYTES = 64 * 2**20  # less than 1 MiB in chunks of Graspwatch
+MAX_COMPRESSION_RATIO = 200  # about 8 in chunks of Graspwatch
 ALWAYS_ALLOWED_BYTES = 2**20
 
 
@@ -32,9 +32,7 @@ def decompress_chunk(chunk: Chunk) -> bytes:
 def _decompress(chunk: Chunk, most: int) -> bytes:
     match chunk.compression:
         case "zstd":
-            if (
-                zstandard.frame_content_size(chunk.data) > most
-            ):  # zstandard trusts this number more than the output limit
+            if zstandard.frame_content_size(chunk.data) > most:  # it would override the limit on the output
                 raise ValueError(f"{len(chunk.data)} bytes become more than {most}")
             return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=max(chunk.uncompressed_size, 1))
         case "lz4":

@@ -13,11 +13,11 @@ from config.schema import LimiterSettings, TissueLibrary, Tool
 INVALID, SATURATED, IN_GRASP = SampleFlag.INVALID.value, SampleFlag.SATURATED.value, SampleFlag.IN_GRASP.value
 LIMITED, RELEASED = SampleFlag.LIMITED.value, SampleFlag.RELEASED.value
 
-# Of each of the two lags in series from command to force. In simulation: 8 ms of drive, 10 ms of cable and tissue.
+# The command reaches the force through two such lags. In simulation: 8 ms of drive, 10 ms of cable and tissue.
 LAG_TIME_CONSTANT_S = 0.009
 GAIN_INCREASE_TIME_CONSTANT_S = 0.003  # a higher gain ratio is followed mostly within a block
 GAIN_DECREASE_TIME_CONSTANT_S = 0.2  # a lower one slowly, because the force may only be late
-# Of the limit. It is added to both forces before their ratio is taken, because small forces are mostly noise.
+# Share of the limit, added to both forces before their ratio is taken, because small forces are mostly noise.
 RATIO_REGULARIZATION_SHARE = 0.08
 LIMIT_RISE_N_PER_S = 10.0  # rise of the limit: 0.25 N at most in the 25 ms until an error shows in the force
 # Time that the force gets to follow a falling threshold: five times the lags of drive and tissue. A rising threshold
@@ -65,7 +65,7 @@ class ActiveThreshold:
     """The injury threshold in force, N: the reported one while it is fresh and of this grasp, else the lowest."""
 
     def __init__(self, thresholds_n: Collection[float], expires_ticks: int) -> None:
-        """`thresholds_n`: those of the library's tissues, in the newtons that the tool shows."""
+        """The injury threshold in force, N: the reported one while it is fresh and of this grasp, else the lowest."""
         self._lowest_n, self._highest_n = min(thresholds_n), max(thresholds_n)
         self._expires_ticks = expires_ticks
         self._reported_n, self._reported_tick = self._lowest_n, -1
@@ -110,7 +110,7 @@ class ForceLimiter:
         self._lowest_limit_n = self._limit_n = settings.margin * min(thresholds_n)
         self._predictor = ForcePredictor(tool)
         self._gain_ratio = 1.0  # measured force in proportion to the map's
-        # Of the next grasp; a released grasp teaches it how strong the tool is.
+        # Gain ratio with which the next grasp begins; a released grasp raises it to its own.
         self._initial_gain_ratio = 1.0
         self._gain_increase_weight = -math.expm1(-self._block_s / GAIN_INCREASE_TIME_CONSTANT_S)
         self._gain_decrease_weight = -math.expm1(-self._block_s / GAIN_DECREASE_TIME_CONSTANT_S)

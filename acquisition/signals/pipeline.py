@@ -18,9 +18,7 @@ DISPLACEMENT_HISTORY_SAMPLES = BACKDATING_SAMPLES
 
 
 class TareEstimator:
-    """Estimator of the strain gage's rest voltage: mean of the first samples at rest, before them the tool file's
-    value.
-    """
+    """Estimator of the rest voltage: mean of the first samples at rest, and before them the tool file's value."""
 
     def __init__(self, calibration: ToolCalibration) -> None:
         self._nominal_v = calibration.rest_offset_v

@@ -45,10 +45,7 @@ class Plant(Protocol):
     """Hardware wired to the board."""
 
     def step(self, command_v: float) -> tuple[float, float, float, float]:
-        """Simulate one sample period under a held motor command, V.
-
-        Return strain V, encoder degrees, touch 1 V and touch 2 V at its end.
-        """
+        """Simulate a sample period under a command, V; return strain V, encoder degrees, touch 1 V, touch 2 V."""
         ...
 
 

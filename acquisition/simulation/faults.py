@@ -36,10 +36,7 @@ class SensorFault(StrEnum):
 
 
 class FaultySensors:
-    """A `Plant` whose sensors are sound until a fault is injected, from any thread.
-
-    `sample_count` counts samples; `fault_sample` is the first one with the fault.
-    """
+    """A `Plant` with sound sensors until a fault is injected, from any thread; `fault_sample` is its first sample."""
 
     def __init__(self, plant: Plant, tool: Tool, seed: int = 0) -> None:
         self._plant, self._tool = plant, tool

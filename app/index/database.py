@@ -109,11 +109,9 @@ def migrate(engine: Engine) -> None:
     """Create the tables, or migrate those of an older index, in one transaction.
 
     Raises:
-        ServiceError: the database cannot be reached, is damaged, read-only, of another program, or of a newer
-            Graspwatch.
+        ServiceError: the database is unreachable, damaged, read-only, of another program, or of a newer Graspwatch.
     """
-    # PostgreSQL: at its usual isolation, which sees the tables that another service made while this one waited for
-    # the lock
+    # PostgreSQL's usual isolation sees the tables that another service made while this one waited for the lock.
     migrating = make_writing_engine(engine) if engine.dialect.name == "sqlite" else engine
     with explain_database_errors(engine.url), migrating.begin() as connection:
         if engine.dialect.name == "postgresql":
@@ -138,14 +136,9 @@ def migrate(engine: Engine) -> None:
 
 
 def _enable_write_ahead_log(engine: Engine) -> None:
-    """Enable the write-ahead log, so that readers do not wait for writers.
-
-    The file stores the setting, so this runs only after the check that it is no other program's database.
-    """
+    """Let readers not wait for writers. The file stores this setting, so no other program's file must get it."""
     with explain_database_errors(engine.url), engine.connect() as connection:
-        connection.connection.execute(
-            "PRAGMA journal_mode=WAL"
-        ).close()  # directly, because SQLAlchemy would open a transaction
+        connection.connection.execute("PRAGMA journal_mode=WAL").close()  # SQLAlchemy would open a transaction
 
 
 def read_revision(connection: Connection) -> str | None:

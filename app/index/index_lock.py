@@ -19,8 +19,8 @@ LOCK_TIMEOUT_S = 10.0
 class IndexLock:
     """Lock on the index of an engine; a context that releases it.
 
-    `is_first_user` says that no other service had the lock: no run that the index lists as under way is. The first user
-    has it exclusively until `downgrade_to_shared`, so that only one process creates the tables.
+    `is_first_user` says that no other service had the lock: then no run listed as under way still is. The first user
+    has the lock exclusively until `downgrade_to_shared`, so that only one process creates the tables.
 
     Raises:
         ServiceError: a rebuild has the lock, or (`exclusive`) a service, or the lock cannot be acquired at all.

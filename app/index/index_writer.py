@@ -47,9 +47,7 @@ class IndexWriter:
         self._queue: queue.Queue[QueuedMessage | threading.Event] = queue.Queue(MAX_QUEUED_MESSAGES)
         self._closing = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._thread = threading.Thread(
-            target=self._run, name="index", daemon=True
-        )  # does not delay the process's exit
+        self._thread = threading.Thread(target=self._run, name="index", daemon=True)  # never delays an exit
 
     def start(self) -> None:
         self._loop = asyncio.get_running_loop()

@@ -136,10 +136,7 @@ def _alarm_recency(alarm: Alarm) -> tuple[int, str]:
 
 
 def _ingest_journal_entry(session: Session, entry: JournalEntry) -> None:
-    """Add a line and the messages in it; of a known line, only update its place in the chain.
-
-    A known line's messages were ingested with it, and may have changed since.
-    """
+    """Add a line and the messages in it; of a known line, only update its place in the chain."""
     key = line_key(entry)
     if row := _get_row(session, AuditRow, key):
         if entry.hash:  # it may come before its place in the journal is known

@@ -31,9 +31,7 @@ class Page(Generic[M]):
 
 
 class Store:
-    """An open index with current tables, locked for a service or, with `exclusive`, for a rebuild.
-
-    Several threads may use it.
+    """An open, migrated index, locked for a service or, with `exclusive`, for a rebuild; for several threads.
 
     Raises:
         ConfigurationError: PostgreSQL's driver is missing.

@@ -81,10 +81,7 @@ class RecordingCatalog:
         self._read_task: asyncio.Task[None] | None = None
 
     async def list_recordings(self) -> Recordings:
-        """Return the list known by now: those of the command line first, then the newest.
-
-        Files not read before are then read in a background process.
-        """
+        """Return the known recordings, the command line's first, then the newest; read others in the background."""
         files = await asyncio.to_thread(self._scan_files)
         self._summaries = {file: self._summaries[file] for file in files.values() if file in self._summaries}
         unread = [file for file in files.values() if file not in self._summaries]

@@ -13,12 +13,7 @@ from app.recordings.mcap_writer import RecordingContext
 from config.errors import RecordingError
 from estimator.estimate_rows import estimate_columns
 
-RELEVANT_SETTINGS = (
-    "conditioning",
-    "identification",
-    "limiter",
-    "warnings",
-)  # parts of the settings that affect estimates
+RELEVANT_SETTINGS = ("conditioning", "identification", "limiter", "warnings")  # those that affect estimates
 CONFIGURATION_NAMES = {
     mcap_layout.TOOL_ATTACHMENT: "tool",
     mcap_layout.LIBRARY_ATTACHMENT: "library",

@@ -33,9 +33,7 @@ def recover_folder(folder: Path) -> Iterator[Path]:
 
 
 def recover_file(path: Path) -> bool:
-    """Repair one file; return False if it is complete or still being written.
-
-    The repaired file replaces the old one only when it is complete.
+    """Replace one file by its repaired copy; return False if it is complete or still being written.
 
     Raises:
         RecordingError: it is no recording of Graspwatch, or is damaged.

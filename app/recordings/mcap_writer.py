@@ -183,8 +183,7 @@ class McapRunWriter:
     def flush(self, *, sync: bool = True) -> None:
         """Write the oldest added data, which then outlive this process, and with `sync` soon the computer.
 
-        One call writes at most MAX_BLOCKS_PER_FLUSH blocks of each topic, so that a backlog does not silence the
-        recorder.
+        One call writes at most MAX_BLOCKS_PER_FLUSH blocks a topic, so that a backlog does not silence the recorder.
 
         Raises:
             OSError: the disk is full or gone; a later flush may raise it instead.

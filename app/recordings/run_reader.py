@@ -17,10 +17,7 @@ from estimator.estimate_rows import estimate_columns, from_estimate_columns
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """A run's file in memory.
-
-    `samples` has dtype SAMPLE_DTYPE, `estimates` a row for each sample, and `log_ns` the samples' times.
-    """
+    """A run's file in memory: `samples` of dtype SAMPLE_DTYPE, each with estimates and a time, `log_ns`."""
 
     path: Path
     metadata: dict[str, str]

@@ -65,9 +65,7 @@ class ReplayCacheStore:
 
     @contextlib.contextmanager
     def open_entry(self, path: Path) -> Iterator[ReplayCacheEntry]:
-        """Yield a recording's cache entry for one more viewer; build it if necessary.
-
-        The build ends when its last viewer leaves.
+        """Yield a recording's cache entry for one more viewer; a build is canceled when its last viewer leaves.
 
         Raises:
             RecordingError: there is no such file.
@@ -110,9 +108,7 @@ class ReplayCacheStore:
                 await run_in_background_process(
                     "film", build_replay_cache, *asked, on_message=prepared, advice=RETRY_ADVICE
                 )
-                return ReplayCache.open(
-                    Path(folder)
-                )  # the open files stay on the disk without names until the last viewer leaves
+                return ReplayCache.open(Path(folder))  # its open files stay until the last viewer leaves
 
     async def aclose(self) -> None:
         """Cancel all builds."""

@@ -40,9 +40,7 @@ class ReplayPlayer:
         self._sequence = 0
 
     def step(self, now_s: float, elapsed_s: float, control: ReplayControl) -> None:
-        """Apply the viewer's control, then send the data due; `now_s` by `time.monotonic`, `elapsed_s` since the last
-        call.
-        """
+        """Apply the control and send the data due; `now_s` by `time.monotonic`, `elapsed_s` since the last call."""
         reads, changed = self._viewer.has_sent_all_messages, control != NO_CONTROL
         if changed:
             self._seek_pending |= self._playhead.apply_control(control)

@@ -30,10 +30,7 @@ class MessageKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ReplayCacheIndex:
-    """Index of samples and messages, with arrays of shape (pieces,), (messages,) and (grasps,).
-
-    A piece is a stretch of samples without a gap.
-    """
+    """Index arrays of shape (pieces,), (messages,) and (grasps,); a piece has no gap between its samples."""
 
     rate_hz: np.ndarray  # of shape ()
     first_ticks: np.ndarray
@@ -82,10 +79,7 @@ class ReplayCache:
         return tick - self._find_row(tick)
 
     def samples(self, begin: int, end: int) -> list[tuple[int, np.ndarray]]:
-        """Return the samples of ticks from `begin` on before `end`.
-
-        Each piece is its first tick and columns of shape (channels, n).
-        """
+        """Return samples at ticks from `begin` before `end` as pieces: first tick, and columns (channels, n)."""
         index, first, last = self._index, self._find_row(begin), self._find_row(end)
         inner = index.first_rows[(index.first_rows > first) & (index.first_rows < last)].tolist()
         pieces = []
@@ -105,10 +99,7 @@ class ReplayCache:
         return self._messages[self._message_starts[i] : self._index.ends[i]].tobytes().decode()
 
     def initial_messages(self, tick: int) -> list[str]:
-        """Return the messages for a viewer that starts at this tick.
-
-        They are the active alarms, the finished grasps and the last identification.
-        """
+        """Return what a viewer needs at this tick: active alarms, finished grasps, the last identification."""
         kinds = self._index.kinds[: np.searchsorted(self._index.ticks, tick)]
         grasps = np.flatnonzero(kinds == MessageKind.GRASP).tolist()
         identified = np.flatnonzero(kinds == MessageKind.IDENTIFICATION).tolist()[-1:]
