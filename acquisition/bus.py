@@ -108,7 +108,7 @@ class SequenceTracker:
         self.missing = 0
 
     def is_out_of_order(self, block: SampleBlock) -> bool:
-        """Return whether a later block came first and counted this one as missing; after a restart none did."""
+        """Return whether a later block of the same sender came first, and counted this one as missing."""
         return (
             self._last_sequence is not None
             and block.sequence <= self._last_sequence

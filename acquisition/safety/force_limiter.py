@@ -110,7 +110,7 @@ class ForceLimiter:
         self._lowest_limit_n = self._limit_n = settings.margin * min(thresholds_n)
         self._predictor = ForcePredictor(tool)
         self._gain_ratio = 1.0  # measured force in proportion to the map's
-        # Gain ratio with which the next grasp begins; a released grasp raises it to its own.
+        # Gain ratio with which the next grasp begins, learned from the last one.
         self._initial_gain_ratio = 1.0
         self._gain_increase_weight = -math.expm1(-self._block_s / GAIN_INCREASE_TIME_CONSTANT_S)
         self._gain_decrease_weight = -math.expm1(-self._block_s / GAIN_DECREASE_TIME_CONSTANT_S)
