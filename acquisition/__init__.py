@@ -1,1 +1,1 @@
-"""From the board or a recording to calibrated, conditioned and segmented sample blocks."""
+"""Conversion of a board's or a recording's signals into calibrated, conditioned and segmented sample blocks."""

@@ -1,4 +1,4 @@
-"""One turn of the acquisition: read a block, condition it, judge sensors and force, set the next motor command."""
+"""The acquisition's loop body: read a block, condition it, check sensors and force, set the next motor command."""
 
 import math
 from dataclasses import dataclass, replace
@@ -29,11 +29,10 @@ from config.errors import RefusedError
 from config.schema import ConditioningSettings, GraspProtocol, Tool
 
 READBACK_TOLERANCE_V = 0.25
-MAX_READBACK_MISMATCH_S = (
-    0.09  # by the board's clock; less may be a line that settles, or a driver that counts in bursts
-)
-PROMPT_READ_S = 0.01  # a reader this far behind its board is none that lags
-MAX_BACKLOG_S = 1.0  # further behind, nobody knows the force
+# By the board's clock. A shorter mismatch may be a line that settles, or a driver that counts in bursts.
+MAX_READBACK_MISMATCH_S = 0.09
+PROMPT_READ_S = 0.01  # a reader that is at most this far behind its board does not lag
+MAX_BACKLOG_S = 1.0  # with a larger backlog the present force is not known
 LIMITED, RELEASED = SampleFlag.LIMITED.value, SampleFlag.RELEASED.value
 
 
@@ -45,7 +44,7 @@ SCALE_UNKNOWN_TEXT = (
 
 
 class RunOutcome(StrEnum):
-    """How a run ended."""
+    """Outcome of a run."""
 
     FINISHED = "finished"
     STOPPED = "stopped"
@@ -60,12 +59,12 @@ class EndedRun:
 
 
 def describe_release(why: str) -> str:
-    """What is told of a grasp that the limiter let go."""
+    """Return the notice's text for a grasp that the limiter released."""
     return f"The grasp was let go with the motor at zero: {why}."
 
 
 class AcquisitionController:
-    """Drives one source. The motor moves only while a run plays its protocol; `safety` says where the tool stands."""
+    """Control of one sample source and its motor, which moves only while a run plays its protocol."""
 
     def __init__(
         self,
@@ -76,10 +75,10 @@ class AcquisitionController:
         safety: Safety = Safety.DISARMED,
         why: str = "",
     ) -> None:
-        """`hold_back` limits the force of whatever a protocol asks for; a recording, which has no motor, needs none.
+        """`limiter` limits the force of a run; a recording has no motor and needs none.
 
-        `safety` is where the tool stood before, and `why` it is faulted: a fault outlives the process that had it. A
-        simulated tool in virtual time, which hurts nobody, may begin armed.
+        `safety` and `why` are the initial state and its reason: a fault outlives the process in which it occurred. A
+        simulated tool in virtual time may begin armed.
         """
         self._source = source
         self._tool = tool
@@ -91,27 +90,27 @@ class AcquisitionController:
         self._run_id = ""
         self._ended_runs: list[EndedRun] = []
         self._test_failure = (
-            "the tool did not stay at rest for long enough: try again"  # why not, when it was last judged
+            "the tool did not stay at rest for long enough: try again"  # reason of the last failed check
         )
         self._limiter = limiter
-        self._limiter_flags = 0  # HELD_BACK and LET_GO, of the command that is written next
+        self._limiter_flags = 0  # LIMITED and RELEASED, for the next command to be written
         self._release_reasons: list[str] = []
         rate_hz = tool.board.sample_rate_hz
         self._prompt_backlog, self._max_backlog = round(PROMPT_READ_S * rate_hz), round(MAX_BACKLOG_S * rate_hz)
         self._command_history = CommandHistory()
-        self._backlog_samples = 0  # samples that the reader has to catch up
+        self._backlog_samples = 0  # samples that the reader still has to catch up
         self._max_mismatched_samples = round(MAX_READBACK_MISMATCH_S * rate_hz)
-        self._mismatched_samples = 0  # samples in a row whose command was read back wrong
+        self._mismatched_samples = 0  # consecutive samples whose command was read back wrong
 
     @property
     def running(self) -> bool:
         return self._player is not None
 
     def arm(self, unmeasured_scale_reason: str = "") -> None:
-        """Begin the self-test; the tool is armed by one of the next turns, or disarmed again for the reason in `why`.
+        """Begin the self-test and a new tare; an armed tool stays armed.
 
-        The strain gage is tared anew with it. A tool that is armed stays so. `unmeasured` is the reason for which a
-        real tool may move although its force scale is not measured.
+        A later block arms the tool, or disarms it with the reason in `why`. `unmeasured_scale_reason` is the reason for
+        which a real tool may move although its force scale is not measured.
 
         Raises:
             RefusedError: a run is under way, a fault is latched, or the force scale is not measured.
@@ -123,39 +122,39 @@ class AcquisitionController:
             self._restart_tare()
 
     def disarm(self) -> None:
-        """Motor to zero; nothing starts before the tool is armed again."""
+        """Set the motor to zero and forbid runs until the tool is armed again."""
         self._end_run(SafetyEvent.DISARM, RunOutcome.STOPPED, "the tool was disarmed")
 
     def acknowledge(self) -> None:
-        """Somebody has seen the fault.
+        """Clear the latched fault, which a person has seen.
 
         Raises:
-            RefusedError: there is none.
+            RefusedError: no fault is latched.
         """
         self._apply_event(SafetyEvent.ACKNOWLEDGE)
 
     def start(self, run_id: str, protocol: GraspProtocol, cycles: int) -> None:
-        """Begin a run: everything is measured anew, and the strain gage is tared during the protocol's lead-in.
+        """Begin a run with new measurements; the strain gage is tared during the protocol's lead-in.
 
         Raises:
-            RefusedError: the tool is not armed, a run is under way, or the protocol passes the tool's limits.
+            RefusedError: the tool is not armed, a run is under way, or the protocol exceeds the tool's limits.
         """
-        next_state(self.safety, SafetyEvent.START)  # a tool that is not armed is the first thing to know of
+        next_state(self.safety, SafetyEvent.START)  # refuses a tool that is not armed before it checks the protocol
         player = ProtocolPlayer(protocol, self._tool, cycles)
         self._apply_event(SafetyEvent.START)
         self._run_id, self._player = run_id, player
 
     def set_threshold(self, threshold_n: float, tick: int) -> None:
-        """The injury threshold in force as the samples up to `tick` tell it, N; it counts until it expires."""
+        """Set the injury threshold in force, N, as known at sample `tick`; it counts until it expires."""
         if self._limiter is not None:
             self._limiter.set_threshold(threshold_n, tick)
 
     def stop(self, why: str) -> bool:
-        """Motor to zero at once, whatever else is the case; returns whether a run was ended by it."""
+        """Set the motor to zero at once, in every state; return whether this ended a run."""
         return self._end_run(SafetyEvent.STOP, RunOutcome.STOPPED, why)
 
     def restart_after_reopen(self, why: str) -> None:
-        """Go on with a board that had to be opened again: a run has failed, and the tool has to be armed again."""
+        """Continue with a reopened board: fail the run, if there is one, and require that the tool is armed again."""
         self._command_history, self._backlog_samples = CommandHistory(), 0
         if self.running:
             self.fail(why)
@@ -165,7 +164,7 @@ class AcquisitionController:
         self._restart_tare()
 
     def fail(self, why: str) -> None:
-        """Motor to zero at once; nothing starts before somebody has acknowledged this fault."""
+        """Set the motor to zero at once and latch this fault until a person acknowledges it."""
         self._end_run(SafetyEvent.FAULT, RunOutcome.FAILED, why)
         self.why = why
 
@@ -182,7 +181,7 @@ class AcquisitionController:
         return True
 
     def _apply_event(self, event: SafetyEvent) -> bool:
-        """Returns whether the tool stands elsewhere now."""
+        """Change the state; return whether it differs from the one before."""
         before, self.safety = self.safety, next_state(self.safety, event)
         if before is not self.safety and event is not SafetyEvent.FAULT:
             self.why = ""
@@ -198,7 +197,7 @@ class AcquisitionController:
         if raw is None:
             return None
         if self.running and self._player.at_start:
-            self._sensor_monitor.reset()  # with the tare
+            self._sensor_monitor.reset()  # the run's first block restarts the tare, too
         commands = self._command_history.compute_bounds(raw.first_tick, len(raw))
         limit_n = self._limiter.limit_n if self._limiter else math.nan
         run_id = self._run_id if self.running else ""
@@ -219,7 +218,7 @@ class AcquisitionController:
         return replace(block, safety=self.safety, why=self.why)
 
     def _continue_self_test(self, sensor_fault: str | None) -> None:
-        """Pass once a tare was taken while the tool was sound and at rest; fail when that takes too long."""
+        """Pass once a tare is taken while the sensors are sound and the tool is at rest; fail at the time limit."""
         if why := self._self_test.find_fault() or sensor_fault:
             self._test_failure = why
             self._restart_tare()
@@ -234,21 +233,21 @@ class AcquisitionController:
         self._sensor_monitor.reset()
 
     def _count_caught_up(self, backlog: int) -> int:
-        """Samples of the last block, at most, that only made up for a delay of the reader.
+        """Return how many samples, at most a block, only made up for a delay of the reader.
 
-        The protocol stands still for as many: it goes no faster than time, whatever was held up.
+        The protocol pauses for as many samples, so that it never plays faster than real time.
         """
         before, self._backlog_samples = self._backlog_samples, max(backlog - self._prompt_backlog, 0)
         return min(max(before - self._backlog_samples, 0), self._tool.board.block_samples)
 
     def _find_stop_reason(self, block: SampleBlock, commands: CommandBounds) -> str | None:
-        """What forbids the motor to go on, of a run."""
+        """Return why a run must end after this block, or None."""
         if self.safety not in RUN_STATES:
             return None
         return find_stop_reason(self._tool, block.samples) or self._find_motion_fault(block, commands)
 
     def _write_next_command(self, block: SampleBlock, applied_v: list[float], requested_v: float) -> None:
-        """Write what the protocol asks for, or as much as the limiter allows after a block taken under `commands_v`."""
+        """Write the requested command, or the limiter's lower one, after a block taken under `applied_v`."""
         if self._limiter is None:
             self._write_command(requested_v)
             return
@@ -260,7 +259,7 @@ class AcquisitionController:
             self._release_reasons.append(why)
 
     def _find_motion_fault(self, block: SampleBlock, commands: CommandBounds) -> str | None:
-        """What forbids the motor to start or to go on: no tare, samples read too late, a command not read back."""
+        """Return a fault that forbids motion: no tare, samples read too late, or a wrong read-back of the command."""
         tare, calibration = self._pipeline.tare, self._tool.calibration
         if self._player and not self._player.in_lead_in and not tare.measured:
             seen_v = float(block.samples["strain_v"].mean())
@@ -280,7 +279,7 @@ class AcquisitionController:
         return None
 
     def _write_command(self, command_v: float) -> None:
-        """Set the command, or as much of it as may follow the last one; down it goes at once."""
+        """Write the command, V, with its rise bounded; a fall is immediate, and an inactive motor gets zero."""
         most_v = (
             compute_max_next_command(self._command_history.last_command_v, self._tool)
             if self.safety in MOTOR_ACTIVE_STATES
@@ -294,18 +293,17 @@ class AcquisitionController:
             self._command_history.append(self._source.write_command(command_v), self._limiter_flags)
 
     def pop_ended_runs(self) -> list[EndedRun]:
-        """Runs that ended since the last call."""
+        """Return the runs that ended since the last call."""
         ended, self._ended_runs = self._ended_runs, []
         return ended
 
     def pop_release_reasons(self) -> list[str]:
-        """Why grasps were let go since the last call, the motor at zero for the rest of each."""
+        """Return why the limiter released grasps since the last call."""
         let_go, self._release_reasons = self._release_reasons, []
         return let_go
 
 
 def _event_from_flags(limiter_flags: int) -> SafetyEvent:
-    """What the limiter's flags mean."""
     if limiter_flags & RELEASED:
         return SafetyEvent.RELEASE_GRASP
     return SafetyEvent.LIMIT_FORCE if limiter_flags & LIMITED else SafetyEvent.RESUME

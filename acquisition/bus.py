@@ -1,7 +1,7 @@
-"""Messages between the workers over ZeroMQ: blocks and notices one way; force limits, commands and answers the other.
+"""Messages between the workers over ZeroMQ: samples, estimates, notices, injury thresholds, commands and replies.
 
-PUB/SUB loses messages silently once a frozen subscriber is full; so every block carries a sequence number, and
-`Receiver` counts what is missing.
+PUB/SUB loses messages silently once the queue of a slow subscriber is full. Therefore every block carries a sequence
+number, and `SequenceTracker` counts the missing blocks.
 """
 
 import json
@@ -17,14 +17,14 @@ import zmq
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
 
-HIGH_WATER_MARK = 12_000  # high-water mark: 200 blocks a second for a minute
+HIGH_WATER_MARK = 12_000  # messages; 200 blocks a second for a minute
 
 SAMPLES_TOPIC, ESTIMATES_TOPIC, NOTICE_TOPIC, SERVER_MESSAGE_TOPIC = b"samples", b"estimates", b"notice", b"told"
 
 
 @dataclass(frozen=True, slots=True)
 class Endpoints:
-    """Addresses of one service's bus."""
+    """ZeroMQ addresses of one service's bus."""
 
     samples: str
     estimates: str
@@ -35,7 +35,6 @@ class Endpoints:
     safety_monitor: str
     foxglove: str
     server_heartbeat: str
-    """Signs of life of the server's event loop."""
 
     @classmethod
     def in_folder(cls, folder: Path) -> "Endpoints":
@@ -44,7 +43,7 @@ class Endpoints:
 
 
 def shallow_asdict(record: Any) -> dict[str, Any]:
-    """The fields of a dataclass by name, as they are; `asdict` copies what is inside them, for ten times as long."""
+    """Return a dataclass's fields by name without copying values, in a tenth of the time of `asdict`."""
     return {name: getattr(record, name) for name in record.__dataclass_fields__}
 
 
@@ -57,7 +56,7 @@ def open_publisher(context: zmq.Context, address: str) -> zmq.Socket:
 
 
 def open_subscriber(context: zmq.Context, *addresses: str) -> Any:
-    """A socket that takes everything published at the addresses (also of `zmq.asyncio`)."""
+    """Open a socket that receives everything published at the addresses (also with a context of `zmq.asyncio`)."""
     socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.RCVHWM, HIGH_WATER_MARK)
     socket.setsockopt(zmq.SUBSCRIBE, b"")
@@ -79,7 +78,7 @@ def unpack_samples(parts: list[bytes]) -> SampleBlock:
 
 
 def unpack_safety(parts: list[bytes]) -> Safety:
-    """Where the tool stands, of a packed block."""
+    """Return the tool's safety state from a packed block."""
     return Safety(json.loads(parts[1])["safety"])
 
 
@@ -88,7 +87,7 @@ def pack_notice(kind: str, **content: Any) -> list[bytes]:
 
 
 def pack_server_message(topic: str, content: bytes) -> list[bytes]:
-    """What the server told its viewers, for whoever records it."""
+    """Pack a message that the server sent to its viewers, for the recorder and the Foxglove server."""
     return [SERVER_MESSAGE_TOPIC, topic.encode(), content]
 
 
@@ -101,7 +100,7 @@ def unpack_notice(parts: list[bytes]) -> dict[str, Any]:
 
 
 class SequenceTracker:
-    """Counts blocks that never arrived, or came after later ones and are of no use any more."""
+    """Counter of blocks that never arrived, and detector of blocks that arrived out of order."""
 
     def __init__(self) -> None:
         self._last_sequence: int | None = None
@@ -109,7 +108,7 @@ class SequenceTracker:
         self.missing = 0
 
     def is_out_of_order(self, block: SampleBlock) -> bool:
-        """True if a later block came before it, which counted it as missing; those of a restarted sender are newer."""
+        """Return whether a later block of the same sender came first, and counted this one as missing."""
         return (
             self._last_sequence is not None
             and block.sequence <= self._last_sequence
@@ -117,7 +116,7 @@ class SequenceTracker:
         )
 
     def is_restart(self, sequence: int) -> bool:
-        """True if the sender was restarted: its blocks are counted from the beginning again."""
+        """Return whether the sender was restarted: its sequence numbers begin anew."""
         return self._last_sequence is not None and sequence <= self._last_sequence
 
     def update(self, sequence: int, t_mono_ns: int = 0) -> int:
@@ -136,7 +135,7 @@ class SequenceTracker:
 
 @dataclass(frozen=True, slots=True)
 class ThresholdUpdate:
-    """The injury threshold in force as the estimator knows it at `tick`, N, and whose; None: the library's lowest."""
+    """The injury threshold in force, N, as known at sample `tick`, and its tissue; None: the library's lowest."""
 
     threshold_n: float
     tissue: str | None
@@ -152,7 +151,7 @@ def unpack_threshold(message: bytes) -> ThresholdUpdate:
 
 
 def open_latest_subscriber(context: zmq.Context, address: str) -> zmq.Socket:
-    """A socket that keeps only the newest message published at the address; messages must have one part."""
+    """Open a socket that keeps only the newest message published at the address; messages must have one part."""
     socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.CONFLATE, 1)
     socket.setsockopt(zmq.SUBSCRIBE, b"")
@@ -165,9 +164,9 @@ def open_latest_subscriber(context: zmq.Context, address: str) -> zmq.Socket:
 
 @dataclass(frozen=True, slots=True)
 class ArmCommand:
-    """Test the tool at rest; the blocks that follow say whether it is armed.
+    """Begin the self-test at rest; later blocks report whether the tool is armed.
 
-    `unmeasured`: why it may be although its force scale is not measured.
+    `unmeasured_scale_reason`: why the tool may be armed although its force scale is not measured.
     """
 
     unmeasured_scale_reason: str = ""
@@ -175,17 +174,17 @@ class ArmCommand:
 
 @dataclass(frozen=True, slots=True)
 class DisarmCommand:
-    """Motor to zero; nothing starts before the tool is armed again."""
+    """Set the motor to zero and forbid runs until the tool is armed again."""
 
 
 @dataclass(frozen=True, slots=True)
 class AcknowledgeCommand:
-    """Somebody has seen the fault that is latched."""
+    """Clear the latched fault, which a person has seen."""
 
 
 @dataclass(frozen=True, slots=True)
 class StartCommand:
-    """Begin a run of a protocol (its JSON); `tissue` for the simulated tool."""
+    """Begin a run of `cycles` cycles of a protocol (as JSON); `tissue` sets that of a simulated tool."""
 
     run_id: str
     protocol: str
@@ -195,14 +194,14 @@ class StartCommand:
 
 @dataclass(frozen=True, slots=True)
 class StopCommand:
-    """Motor to zero now; ends a run if there is one."""
+    """Set the motor to zero now and end the run, if there is one."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedLoadCommand:
-    """For the simulated tool: a pull on its handle, N, and a gauge between its jaws, m; 0: none, None: tissue again."""
+    """Set the pull, N, on a simulated tool's handle and the gauge, m, between its jaws (0: empty, None: tissue)."""
 
     pull_n: float
     gauge_m: float | None
@@ -216,13 +215,13 @@ _COMMAND_TYPES = {
 
 
 def pack_command(command: AnyCommand, expires_ns: int) -> bytes:
-    """Who sends it waits until `until_ns` of the monotonic clock."""
+    """Pack a command whose sender waits until `expires_ns` of the monotonic clock."""
     content = {"command": type(command).__name__.lower(), "until_ns": expires_ns, **asdict(command)}
     return json.dumps(content).encode()
 
 
 def unpack_command(message: bytes) -> AnyCommand | None:
-    """None: nobody waits for it any more. A stop is never too late."""
+    """Return the command, or None if it has expired. A stop never expires."""
     content = json.loads(message)
     kind, until_ns = _COMMAND_TYPES[content.pop("command")], content.pop("until_ns")
     return None if kind is not StopCommand and time.monotonic_ns() > until_ns else kind(**content)
@@ -230,7 +229,7 @@ def unpack_command(message: bytes) -> AnyCommand | None:
 
 @dataclass(frozen=True, slots=True)
 class CommandReply:
-    """What became of a command: refused with a reason, or done; `effect` says whether it changed anything."""
+    """Answer to a command: `refused` is the reason or None; `effect` says whether the command changed anything."""
 
     refused: str | None = None
     effect: bool = True

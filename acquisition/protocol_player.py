@@ -10,10 +10,10 @@ ROUNDING_TOLERANCE = 1e-9
 
 
 def command_cycle(protocol: GraspProtocol, tool: Tool) -> np.ndarray:
-    """One grasp and its rest as motor command at the tool's sample rate, V, shape (n,); begins and ends at 0.
+    """Return the command of one grasp and its rest, V, shape (n,), at the tool's sample rate; it begins at 0.
 
     Raises:
-        RefusedError: the command would pass the tool's limits or rise faster than they allow.
+        RefusedError: the command exceeds the tool's limits or rises faster than they allow.
     """
     waveform = protocol.waveform
     rate_hz = tool.board.sample_rate_hz
@@ -57,16 +57,16 @@ def command_cycle(protocol: GraspProtocol, tool: Tool) -> np.ndarray:
 
 
 def _sine_command(waveform: SineWaveform, command_to_force: CommandToForce, time_s: np.ndarray) -> np.ndarray:
-    """The command for a raised cosine of force: A/2 (1 - cos 2 pi f t), first slow, then fast."""
+    """Return the command for a raised cosine of force, A/2 (1 - cos 2 pi f t): one slow cycle, then fast ones."""
     first_s = 1.0 / waveform.first_hz
-    with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses what is no number
+    with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses values that are not finite
         cycles = np.where(time_s < first_s, time_s * waveform.first_hz, (time_s - first_s) * waveform.then_hz)
         force = waveform.peak_n / 2 * (1 - np.cos(2 * np.pi * cycles))
     return np.where(time_s < waveform.grasp_s, command_to_force.to_command_v(force), 0.0)
 
 
 class ProtocolPlayer:
-    """Plays a protocol a number of times, one command a call; `done` after the last rest."""
+    """Player of a protocol's cycles, one command a call; `done` after the last rest."""
 
     def __init__(self, protocol: GraspProtocol, tool: Tool, cycles: int) -> None:
         cycle = command_cycle(protocol, tool)
@@ -83,17 +83,15 @@ class ProtocolPlayer:
 
     @property
     def total_samples(self) -> int:
-        """In all, the lead-in included."""
+        """Number of samples of the whole run, with the lead-in."""
         return self._lead_in + self._cycles * len(self._cycle)
 
     @property
     def at_start(self) -> bool:
-        """Whether nothing has been played yet."""
         return self._position == 0
 
     @property
     def in_lead_in(self) -> bool:
-        """Whether the lead-in is still going on."""
         return self._position < self._lead_in
 
     @property
@@ -101,7 +99,7 @@ class ProtocolPlayer:
         return self._position >= self.total_samples
 
     def next_command(self, samples: int) -> float:
-        """The command for the next `samples` samples, V: that of the first of them; 0 once done."""
+        """Return the first command of the next `samples` samples, V, and advance; 0 in the lead-in and at the end."""
         at, self._position = self._position - self._lead_in, self._position + samples
         if at < 0 or at >= self._cycles * len(self._cycle):
             return 0.0

@@ -1,4 +1,4 @@
-"""Whether the motor may move: one pure state machine, kept by the acquisition worker, who alone commands the motor."""
+"""The safety states of the tool, as a pure state machine; only the acquisition holds the state."""
 
 from enum import StrEnum
 
@@ -6,7 +6,7 @@ from config.errors import RefusedError
 
 
 class Safety(StrEnum):
-    """Where the tool stands."""
+    """Safety state of the tool."""
 
     DISARMED = "disarmed"
     TESTING = "testing"
@@ -16,13 +16,13 @@ class Safety(StrEnum):
     LIMITING = "holding back"
     """The limiter keeps the command lower than the protocol asks for."""
     RELEASED = "let go"
-    """The force passed the limit: no command until the protocol's next grasp."""
+    """The force passed the limit: the command is zero until the protocol's next grasp."""
     STOPPED = "stopped"
     FAULTED = "faulted"
 
 
 class SafetyEvent(StrEnum):
-    """What happens to it."""
+    """Event that may change the safety state."""
 
     ARM = "arm"
     TEST_PASSED = "test passed"
@@ -31,7 +31,7 @@ class SafetyEvent(StrEnum):
     LIMIT_FORCE = "hold back"
     RELEASE_GRASP = "let go"
     RESUME = "release"
-    """The limiter has no objection any more."""
+    """The limiter no longer lowers the command."""
     FINISH = "finish"
     STOP = "stop"
     FAULT = "fault"
@@ -40,11 +40,11 @@ class SafetyEvent(StrEnum):
 
 
 MOTOR_ACTIVE_STATES = frozenset({Safety.RUNNING, Safety.LIMITING})
-"""The motor moves in no other state."""
+"""States in which the motor may move."""
 
 RUN_STATES = MOTOR_ACTIVE_STATES | {Safety.RELEASED}
 MONITORED_STATES = RUN_STATES | {Safety.ARMED}
-"""A lost signal is a fault in these; in others the self-test will find it."""
+"""States in which a lost signal is a fault; in the others the self-test finds it."""
 
 _RUN_TRANSITIONS = {
     SafetyEvent.LIMIT_FORCE: Safety.LIMITING,
@@ -82,10 +82,10 @@ _REFUSAL_TEXTS = {
 
 
 def next_state(state: Safety, event: SafetyEvent) -> Safety:
-    """The state that follows.
+    """Return the state that follows.
 
     Raises:
-        RefusedError: the event cannot happen in this state; the text says what has to happen first.
+        RefusedError: the event is not allowed in this state; the text says what has to happen first.
     """
     following = _TRANSITIONS[state].get(event) or _TRANSITIONS_FROM_ANY.get(event)
     if following:

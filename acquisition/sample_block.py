@@ -1,4 +1,4 @@
-"""What the acquisition publishes: blocks of calibrated, conditioned and segmented samples."""
+"""The acquisition's output: blocks of calibrated, conditioned and segmented samples."""
 
 from dataclasses import dataclass
 from enum import IntFlag
@@ -9,18 +9,18 @@ from acquisition.safety_state_machine import Safety
 
 
 class SampleFlag(IntFlag):
-    """What is known of one sample."""
+    """Properties of one sample, as bits."""
 
     INVALID = 1  # outside the domain of Eqs. (1) to (6): no jaw signals
     SATURATED = 2  # strain gage at the end of its range
     IN_GRASP = 4  # the command has left zero
     CONTACT = 8  # tissue is held
-    CONTACT_SENSED = 16  # a trusted touch sensor says so
-    JAWS_CLOSED = 32  # the force rises without motion: not tissue any more
-    ENCODER_SLIPS = 64  # the encoder lags behind the cable's stretch or walks between grasps
-    FILTERED_INVALID = 128  # as INVALID, of the filtered signals alone
+    CONTACT_SENSED = 16  # contact comes from a trusted touch sensor
+    JAWS_CLOSED = 32  # the force rises without motion: the jaws are shut, and the tissue gives no more information
+    ENCODER_SLIPS = 64  # the encoder lags behind the cable's stretch, or its zero drifts between grasps
+    FILTERED_INVALID = 128  # as INVALID, for the filtered signals alone
     LIMITED = 256  # the limiter keeps the command lower than the protocol asks for
-    RELEASED = 512  # the force passed the limit: no command until the protocol's next grasp
+    RELEASED = 512  # the force passed the limit: the command is zero until the protocol's next grasp
 
 
 SAMPLE_DTYPE = np.dtype(
@@ -31,18 +31,18 @@ SAMPLE_DTYPE = np.dtype(
         ("motor_command_v", "f8"),  # read back
         ("touch_1_v", "f8"),
         ("touch_2_v", "f8"),
-        ("jaw_force_n", "f8"),  # unfiltered: what the filters and the limiter take
+        ("jaw_force_n", "f8"),  # unfiltered: input of estimator and limiter
         ("jaw_displacement_m", "f8"),
-        ("newton_per_volt", "f8"),  # how strain noise enters both
+        ("newton_per_volt", "f8"),  # derivatives of force and displacement by the strain voltage, for its noise
         ("metre_per_volt", "f8"),
-        ("jaw_force_filtered_n", "f8"),  # after the Butterworth filter: what people look at
+        ("jaw_force_filtered_n", "f8"),  # after the Butterworth filter, for display
         ("jaw_displacement_filtered_m", "f8"),
-        ("tissue_displacement_m", "f8"),  # since contact; NaN while nothing is held
-        ("limit_n", "f8"),  # under which the limiter held the force meanwhile; NaN where nothing limits it
+        ("tissue_displacement_m", "f8"),  # since contact; NaN before contact
+        ("limit_n", "f8"),  # limit that the limiter enforced at this sample; NaN without one
         ("grasp", "i8"),  # 1, 2, ...; 0 before the first
-        ("grasp_start_tick", "i8"),  # where the command left zero; -1 before the first
-        ("contact_tick", "i8"),  # -1 while nothing is held
-        ("wall_tick", "i8"),  # where the jaws were shut; -1 while they are not
+        ("grasp_start_tick", "i8"),  # tick at which the command left zero; -1 before the first grasp
+        ("contact_tick", "i8"),  # -1 before contact
+        ("wall_tick", "i8"),  # tick at which the jaws were shut; -1 before
         ("flags", "u2"),
     ]
 )
@@ -50,12 +50,12 @@ SAMPLE_DTYPE = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class SampleBlock:
-    """Consecutive samples, `samples` of dtype SAMPLE and shape (n,).
+    """Consecutive samples: `samples` of dtype SAMPLE_DTYPE and shape (n,).
 
-    `lost_samples` went missing right before the first one; `sequence` counts blocks, so that a receiver sees gaps.
-    `run` says which run they belong to; empty between runs. With a run's first block everything begins anew: nothing of
-    the samples before it has part in what is made of it. `safety` says where the tool stands after them, and `why` it
-    is faulted or was not armed. `backlog` counts the samples after these that waited to be read.
+    `sequence` numbers the blocks, so that a receiver detects gaps. `lost_samples` counts the samples lost right before
+    the first one, `backlog` the samples after the last one that waited to be read. `run` names the run, empty between
+    runs; the first block of a run resets every stage. `safety` is the state after the block, and `why` the reason for a
+    fault or a failed self-test.
     """
 
     sequence: int

@@ -1,4 +1,4 @@
-"""Opens the source that a tool file asks for."""
+"""Factory of the driver, the hardware check and the calibration bench for a tool file."""
 
 import time
 from collections.abc import Callable
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 def open_tool(
     tool: Tool, library: TissueLibrary, tissue: str, seed: int, *, virtual: bool = False
 ) -> tuple[NidaqSource, "SimulatedGrasper | None"]:
-    """The tool behind its driver; for a simulated one also the grasper, whose tissue can be changed.
+    """Return the tool's driver and, for a simulated tool, its grasper, whose tissue can be changed.
 
-    With `virtual`, simulated time jumps as fast as the reader reads; otherwise it is the real one.
+    With `virtual`, simulated time advances as fast as the caller reads; otherwise it is real time.
     """
     if tool.kind is ToolKind.NIDAQ:
         return NidaqSource(tool, create_session_options(tool)), None
@@ -33,7 +33,7 @@ def open_tool(
 def open_hardware_check(
     tool: Tool, library: TissueLibrary, reading_context: AbstractContextManager[None]
 ) -> HardwareCheck:
-    """The tool to be checked, see `Walk`; the jaws of a simulated one are empty."""
+    """Return the hardware check of a tool; the jaws of a simulated tool are empty."""
     if tool.kind is ToolKind.NIDAQ:
         return HardwareCheck(tool, create_session_options(tool), time.monotonic_ns, reading_context)
     options, clock, grasper = _build_simulated_tool(tool, library, next(iter(library.tissues)), seed=0, virtual=False)
@@ -44,12 +44,12 @@ def open_hardware_check(
 def open_calibration_bench(
     tool: Tool, reading_context: Callable[[], AbstractContextManager[None]]
 ) -> "CalibrationBench":
-    """The tool to be calibrated, see `Bench`; on a simulated one weights and gauges are put by themselves."""
-    from acquisition.bench.readings import CalibrationBench  # the worker has no use for it
+    """Return the calibration bench of a tool; on a simulated tool it places weights and gauges itself."""
+    from acquisition.bench.readings import CalibrationBench  # the acquisition worker does not need it
 
     if tool.kind is ToolKind.NIDAQ:
         return CalibrationBench(tool, create_session_options(tool), time.monotonic_ns, reading_context=reading_context)
-    library = load_library("porcine")  # nothing of it is held
+    library = load_library("porcine")  # required by the grasper; its tissues are not used
     options, clock, grasper = _build_simulated_tool(tool, library, next(iter(library.tissues)), seed=0, virtual=False)
 
     def set_load(pull_n: float, gauge_m: float) -> None:
@@ -61,8 +61,8 @@ def open_calibration_bench(
 def _build_simulated_tool(
     tool: Tool, library: TissueLibrary, tissue: str, seed: int, virtual: bool
 ) -> tuple[nidaqmx.GrpcSessionOptions, Callable[[], int], "SimulatedGrasper"]:
-    """How the simulated board is reached, its clock, and its grasper."""
-    from acquisition.simulation.board import RealClock, SimulatedBoard, VirtualClock  # only where it is asked for
+    """Return the session options and the clock of a simulated board, and its grasper."""
+    from acquisition.simulation.board import RealClock, SimulatedBoard, VirtualClock  # for simulated tools only
     from acquisition.simulation.grasper import SimulatedGrasper
     from acquisition.simulation.service import create_in_process_options
 

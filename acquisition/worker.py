@@ -1,4 +1,4 @@
-"""The acquisition worker: a process that owns the tool, conditions its samples and commands its motor."""
+"""The acquisition worker: the process that owns the tool, conditions its samples and commands its motor."""
 
 import time
 from dataclasses import asdict, dataclass
@@ -22,13 +22,13 @@ REALTIME_PRIORITY = 80
 POLL_INTERVAL_S = 0.1
 PRIORITY_RENEWAL_INTERVAL_S = 1.0
 STALL_THRESHOLD_S = 0.5
-"""A turn takes 5 ms, or 20 if samples fail to come: after so long this process itself was held up."""
-MAX_COMMANDS_PER_BLOCK = 20  # after one block: a stop does not queue behind what others ask for
+"""A turn takes 5 ms, or 20 ms if samples fail to come; a longer turn means that this process was held up."""
+MAX_COMMANDS_PER_BLOCK = 20  # bounds the delay of a stop behind other commands
 
 
 @dataclass(frozen=True, slots=True)
 class AcquisitionSetup:
-    """All that the worker needs to know."""
+    """Parameters of the acquisition worker."""
 
     parent_pid: int
     endpoints: bus.Endpoints
@@ -41,11 +41,11 @@ class AcquisitionSetup:
     realtime: RealtimeSettings
     start_event: Event  # set once the tool may be opened
     max_server_silence_s: float
-    previous_fault: str = ""  # that a worker before this one died of, with the motor armed
+    previous_fault: str = ""  # fault that ended the previous worker while the tool was armed
 
 
 def main(setup: AcquisitionSetup) -> None:
-    """Run until a signal or a fault; exits with an error's code after telling it."""
+    """Run until a signal or a fault; after an error, publish it and exit with its code."""
     stop = initialize_worker("acquisition", setup.parent_pid)
     context = zmq.Context()
     publisher = bus.open_publisher(context, setup.endpoints.samples)
@@ -60,7 +60,7 @@ def main(setup: AcquisitionSetup) -> None:
 
 
 def _run_acquisition(setup: AcquisitionSetup, publisher: zmq.Socket, context: zmq.Context, stop: StopFlag) -> None:
-    """Read the tool for as long as the service lives; between blocks, take force limits and obey commands."""
+    """Read the tool until the service ends; between blocks, apply thresholds and execute commands."""
     source, grasper = open_tool(setup.tool, setup.library, setup.tissue, setup.seed)
     limits = bus.open_latest_subscriber(context, setup.endpoints.thresholds)
     signs_of_life = bus.open_latest_subscriber(context, setup.endpoints.server_heartbeat)
@@ -107,10 +107,10 @@ def _run_acquisition(setup: AcquisitionSetup, publisher: zmq.Socket, context: zm
 
 
 class _StallDetector:
-    """Takes turns, and notices when this process was held up: stopped, swapped out or suspended with the machine.
+    """Reader of blocks that detects when this process was held up: stopped, swapped out or suspended with the machine.
 
-    Samples that the board kept meanwhile (10 s) are read and published late; past that, or after the guard's reset, the
-    board is opened again, and the samples in between are counted as lost.
+    The board keeps samples for 10 s; the worker reads and publishes them late. After a longer delay, or after a reset
+    by the safety monitor, it opens the board again and counts the samples in between as lost.
     """
 
     def __init__(self, source: NidaqSource, acquisition: AcquisitionController, publisher: zmq.Socket) -> None:
@@ -118,7 +118,7 @@ class _StallDetector:
         self._last_block_s = time.monotonic()
 
     def process_block(self) -> SampleBlock | None:
-        """The next block.
+        """Return the next block.
 
         Raises:
             ToolError: the board failed, and not because of a stall.
@@ -147,7 +147,7 @@ class _StallDetector:
 
 
 def _publish_events(acquisition: AcquisitionController, publisher: zmq.Socket) -> None:
-    """Grasps that were let go, and runs that ended."""
+    """Publish released grasps and ended runs."""
     for why in acquisition.pop_release_reasons():
         publisher.send_multipart(bus.pack_notice("let_go", text=describe_release(why)))
     for ended in acquisition.pop_ended_runs():

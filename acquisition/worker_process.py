@@ -1,4 +1,4 @@
-"""What every worker process does alike: die with its parent, end in order on a signal, tell its priority."""
+"""Common code of all worker processes: their end with the parent or on a signal, memory limit and priority."""
 
 import contextlib
 import ctypes
@@ -18,19 +18,19 @@ PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 MCL_CURRENT, MCL_FUTURE = 1, 2
 MEMORY_HEADROOM_BYTES = 512 << 20
-"""Than a worker has once it is ready: one that wants more ends, and not the machine's others with it."""
+"""Memory that a worker may add after its start; beyond it the worker fails instead of exhausting the machine."""
 WORKER_CPU_BURST_US = 300_000
-"""Time a worker may compute at real-time priority without a pause; a block takes 400 us, those of a second 80,000."""
+"""Longest computation at real-time priority without a pause; the blocks of one second take 80,000 us."""
 SERVER_PRIORITY = 10
-"""Priority of the server, which carries STOP, and of the recorder: below everything that reads, estimates or guards."""
+"""Of the server, which carries STOP, and of the recorder: below acquisition, estimator and safety monitor."""
 SERVER_CPU_BURST_US = 1_000_000
 HARD_CPU_LIMIT_S = 5
-"""The kernel ends a worker that computes for so long at real-time priority inside one call of a library."""
+"""The kernel kills a worker that computes for so long at real-time priority inside one call of a library."""
 GRANT_TEXTS = {True: "granted", False: "refused", None: "not asked for"}
 
 
 class StopFlag:
-    """Set by SIGTERM and SIGINT; a worker looks at it once a turn, so that it ends with the motor at zero."""
+    """Flag set by SIGTERM and SIGINT. A worker checks it once a turn, so that it ends with the motor at zero."""
 
     def __init__(self) -> None:
         self.is_set = False
@@ -42,7 +42,7 @@ class StopFlag:
 
 
 def initialize_worker(name: str, parent_pid: int) -> StopFlag:
-    """Tie this process to its parent, make it answer signals, and let `ps` and `top` show its name."""
+    """Tie this process to its parent, handle its signals, and set its name for `ps` and `top`."""
     flag = StopFlag()
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -53,7 +53,7 @@ def initialize_worker(name: str, parent_pid: int) -> StopFlag:
 
 
 def limit_memory() -> None:
-    """From here on more memory than any worker needs is refused to this process."""
+    """Limit the memory of this process to its present size and MEMORY_HEADROOM_BYTES."""
     status = Path("/proc/self/status").read_text()
     now_kb = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmData:"))
     bound = now_kb * 1024 + MEMORY_HEADROOM_BYTES
@@ -62,28 +62,27 @@ def limit_memory() -> None:
 
 
 def freeze_garbage_collector() -> None:
-    """A full collection took 31 ms: freeze what start-up made, collect only by reference counts from here on."""
+    """Freeze existing objects and disable the collector, whose full collection took 31 ms."""
     gc.collect()
     gc.freeze()
     gc.disable()
 
 
 class RealtimePriority:
-    """Real-time priority (SCHED_FIFO) of every thread of this process, lowered while it computes without a pause.
+    """Real-time priority (SCHED_FIFO) of all threads of this process, lowered while it computes without a pause.
 
-    A real-time thread that computes without end takes a core from all other programs. After `stretch_us` of it the
-    kernel signals SIGXCPU, and the process falls back to the usual priority instead of being ended: it may have a
-    backlog to work through. `renew` takes the priority again; the kernel grants it for good once the process has
-    waited for something.
+    A real-time thread that computes without end takes a core from all other programs. After `cpu_burst_us` the kernel
+    sends SIGXCPU, and the process falls back to the usual priority instead of ending: it may have a backlog to process.
+    `renew` raises the priority again; the kernel's count restarts once the process has waited.
     """
 
     def __init__(
         self, requested: bool, priority: int, cpu_burst_us: int, hard_limit_s: int | None = HARD_CPU_LIMIT_S
     ) -> None:
-        """Take the priority at once if it is wanted and the system grants it. Call in the main thread.
+        """Raise the priority if it is requested and the system grants it. Call in the main thread.
 
-        After `last_resort_s` at a stretch, inside a single call that never returns to Python, the kernel ends the
-        process (SIGKILL); None: never.
+        After `hard_limit_s` without a pause, for example inside one call of a library, the kernel kills the process
+        (SIGKILL); None: never.
         """
         self._priority, self._cpu_burst_us = priority, cpu_burst_us
         self._hard_limit_us = resource.RLIM_INFINITY if hard_limit_s is None else hard_limit_s * 1_000_000
@@ -98,19 +97,18 @@ class RealtimePriority:
         return f"priority {GRANT_TEXTS[self.granted]}{lowered}"
 
     def renew(self) -> None:
-        """Take the priority again if it was lowered. Call about once a second from the process's main loop."""
+        """Raise the priority again if it was lowered. Call about once a second from the process's main loop."""
         if self._is_lowered:
             self._is_lowered = False
             self._raise_priority()
 
     def restore_default(self) -> None:
-        """Return to the usual priority."""
         if self.granted:
             _set_scheduler(os.SCHED_OTHER, 0)
 
     def _raise_priority(self) -> bool:
         _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
-        most = self._hard_limit_us if most == resource.RLIM_INFINITY else most  # a lower bound of the system's stays
+        most = self._hard_limit_us if most == resource.RLIM_INFINITY else most  # a lower limit of the system stays
         soft = self._cpu_burst_us if most == resource.RLIM_INFINITY else min(self._cpu_burst_us, most)
         resource.setrlimit(resource.RLIMIT_RTTIME, (soft, most))
         try:
@@ -126,7 +124,7 @@ class RealtimePriority:
 
 @dataclass(frozen=True, slots=True)
 class RealtimeGrant:
-    """What the system granted a worker of `[realtime]`; None: not asked for."""
+    """Real-time properties that the system granted a worker; None: not requested."""
 
     priority: RealtimePriority
     memory_locked: bool | None
@@ -142,7 +140,7 @@ class RealtimeGrant:
 def apply_realtime(
     requested: RealtimeSettings, priority: int, core_index: int, cpu_burst_us: int = WORKER_CPU_BURST_US
 ) -> RealtimeGrant:
-    """Bound the memory of this process and ask for what the settings want; `place` is an index into their cores.
+    """Limit the memory of this process and apply the settings' requests; `core_index` selects one of their cores.
 
     Call in the main thread, once everything is loaded.
     """
@@ -158,9 +156,9 @@ def apply_realtime(
 
 
 def take_server_priority(requested: bool) -> RealtimePriority:
-    """Take real-time priority for a process that serves people and disks: before other programs of any session.
+    """Raise the priority of a server or recorder over programs of other sessions.
 
-    Between sessions Linux shares each core evenly, however little one of them asks for (autogroups, sched(7)): beside a
+    Between sessions Linux shares each core evenly, even if one of them needs little (autogroups, sched(7)): beside a
     busy browser a server waited 0.5 s for its turn.
     """
     return RealtimePriority(requested, SERVER_PRIORITY, SERVER_CPU_BURST_US, hard_limit_s=None)
@@ -168,14 +166,14 @@ def take_server_priority(requested: bool) -> RealtimePriority:
 
 @dataclass(frozen=True, slots=True)
 class ProcessActivity:
-    """What a process does, as proc(5) shows it: the state of its main thread, and the processor time of all, ticks."""
+    """State of a process's main thread, and processor time of all its threads in clock ticks, by proc(5)."""
 
     state: str
     cpu_ticks: int
 
     @property
     def is_suspended(self) -> bool:
-        """Stopped by a signal or a debugger, or waiting for a disk or a swapped page."""
+        """Whether the process is stopped by a signal or a debugger, or waits for a disk or a swapped page."""
         return self.state in "TtD"
 
     @property
@@ -184,7 +182,7 @@ class ProcessActivity:
 
 
 def read_activity(pid: int) -> ProcessActivity:
-    """Read the activity of a process; one that does not exist is in state X, dead."""
+    """Return the activity of a process; a process that does not exist is in state X, dead."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -193,13 +191,13 @@ def read_activity(pid: int) -> ProcessActivity:
 
 
 def start_child_process(process: BaseProcess) -> None:
-    """At the usual priority, but not before it is there: until it is loaded, its parent waits with it for its turn."""
+    """Start a process and then lower it to the usual priority: while it loads, its parent waits for it."""
     process.start()
     os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
 
 
 def _lock_memory() -> bool:
-    """Only where no bound on locked memory would refuse what is asked for later."""
+    """Lock all memory if no limit on locked memory can refuse later allocations; return whether it is locked."""
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if soft != resource.RLIM_INFINITY and os.geteuid() != 0:
         return False
@@ -208,17 +206,17 @@ def _lock_memory() -> bool:
 
 
 def _pin_to_core(core: int) -> int:
-    """The core, or -1 where this process may not run on it."""
+    """Pin all threads to a core; return the core, or -1 if it does not exist or is not allowed."""
     try:
         _for_each_thread(lambda thread: os.sched_setaffinity(thread, {core}))
-    except OSError:  # there is no such core, or not for this process
+    except OSError:
         return -1
     return core
 
 
 @contextlib.contextmanager
 def hold_realtime_priority(priority: int) -> Iterator[None]:
-    """Take real-time priority for the duration of the block. Enter it in the main thread."""
+    """Raise this process to real-time priority inside the `with` block. Enter it in the main thread."""
     taken = RealtimePriority(True, priority, WORKER_CPU_BURST_US)
     try:
         yield
@@ -231,7 +229,7 @@ def _set_scheduler(policy: int, priority: int) -> None:
 
 
 def _for_each_thread(action: Callable[[int], None]) -> None:
-    """Of this process, those of libraries included."""
+    """Call `action` with the id of each thread of this process, including threads of libraries."""
     for thread in os.listdir("/proc/self/task"):
-        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+        with contextlib.suppress(ProcessLookupError):  # the thread has ended meanwhile
             action(int(thread))

@@ -1,1 +1,1 @@
-"""A tool on the bench: is it wired as its file says, and does it do what it should?"""
+"""Checks and calibration of a tool on the bench."""

@@ -1,4 +1,4 @@
-"""What a fit leaves: a tool file."""
+"""Tool files with newly fitted constants."""
 
 from datetime import date, timedelta
 from pathlib import Path
@@ -9,7 +9,7 @@ from config.writing import write_calibrated_tool
 
 
 def write_calibration_file(fit: CalibrationFit, tool: str, person: str, valid_days: int, folder: Path) -> Path:
-    """A tool file like that of `tool` (a name or a path), with what was fitted today and how that came about.
+    """Write a copy of `tool` (a name or a path) with today's fitted constants and their origin; return its path.
 
     Raises:
         ConfigurationError: the folder cannot be written to, or the outcome is no valid tool file.

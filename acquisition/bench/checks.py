@@ -1,4 +1,4 @@
-"""Judgements on what was measured: each passes or fails, and a failure names the likeliest mistake and what to do."""
+"""Checks of measured signals. A failure names the most likely mistake and what to do."""
 
 import datetime
 from collections.abc import Mapping
@@ -15,15 +15,15 @@ from config.schema import CALIBRATION_COMMANDS, Tool
 RATE_TOLERANCE = 1e-3  # crystals are a hundred times better; a clock of another source is not
 MAX_LATENESS_MS = 1e3 * READ_TIMEOUT_MARGIN_S
 SATURATION_SHARE = 0.99
-UNCONNECTED_V = 0.02  # a line that stays within this of zero has nothing on it
+UNCONNECTED_V = 0.02  # a line that stays within this of zero is not connected
 MAINS_HZ = (50.0, 60.0)
-MAINS_SHARE = 0.5  # of the variance, within a bin or two: an input that nothing drives is an aerial
+MAINS_SHARE = 0.5  # of the variance, within 2 Hz: an open input picks up the mains
 READBACK_GAIN_TOLERANCE = 0.02
 READBACK_OFFSET_TOLERANCE_V = 0.01
 MAX_ROUND_TRIP_MS = 20.0
-MIN_TURN_DEG = 5.0  # that the encoder turns while empty jaws close
+MIN_TURN_DEG = 5.0  # of the encoder while empty jaws close
 SCALE_TOLERANCE = 0.1
-MIN_STRAIN_CHANGE_V = 0.03  # that the strain has to change for the encoder's scale to be judged
+MIN_STRAIN_CHANGE_V = 0.03  # change of the strain that is needed to check the encoder's scale
 
 
 class CheckOutcome(StrEnum):
@@ -34,7 +34,7 @@ class CheckOutcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """What came of one check; a failure's text says what to do."""
+    """Result of one check; a failure's text says what to do."""
 
     check: str
     outcome: CheckOutcome
@@ -44,7 +44,7 @@ class CheckResult:
 
 @dataclass(frozen=True, slots=True)
 class RawSignals:
-    """Raw signals of a while, each of shape (n,); V and degrees."""
+    """Raw signals over a time, each of shape (n,); V and degrees."""
 
     strain_v: np.ndarray
     readback_v: np.ndarray
@@ -53,7 +53,7 @@ class RawSignals:
 
 
 def check_product(board: BoardInfo, tool: Tool) -> CheckResult:
-    """Whether the board is the one that the file was written for."""
+    """Check that the board is the one that the tool file is written for."""
     check, wanted = "board", tool.board.product
     if board.product == wanted:
         return CheckResult(check, CheckOutcome.PASS, f"{tool.board.device} is a {board.product}")
@@ -65,7 +65,7 @@ def check_product(board: BoardInfo, tool: Tool) -> CheckResult:
 
 
 def check_channels(board: BoardInfo, tool: Tool) -> CheckResult:
-    """Whether the board has the channels and the range that the file names."""
+    """Check that the board has the channels and the range that the tool file names."""
     check, named = "channels", tool.channels
     inputs = (named.strain, named.motor_command_readback, *named.touch)
     missing = [each for each in inputs if each not in board.analog_inputs]
@@ -88,7 +88,7 @@ def check_channels(board: BoardInfo, tool: Tool) -> CheckResult:
 
 
 def check_calibration(tool: Tool, today: datetime.date) -> CheckResult:
-    """Whether the tool's constants are still to be trusted."""
+    """Check that no constant of the tool has expired."""
     check = "calibration"
     if expired := tool.find_expired_constants(today):
         names = ", ".join(f"{each.constant} of {each.date}, on {each.expires}" for each in expired)
@@ -105,7 +105,7 @@ def check_calibration(tool: Tool, today: datetime.date) -> CheckResult:
 
 
 def check_force_scale(tool: Tool) -> CheckResult:
-    """Whether it is known how many newtons a volt is."""
+    """Check that the tool's force scale is measured."""
     check = "force scale"
     if tool.has_known_scale:
         return CheckResult(check, CheckOutcome.PASS, tool.scale_text)
@@ -117,14 +117,14 @@ def check_force_scale(tool: Tool) -> CheckResult:
 
 
 def lateness_ms(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.ndarray]:
-    """Rate of the samples, Hz, and by how much each block came later than the promptest, ms, sorted; (n,) each."""
+    """Return the samples' rate, Hz, and each block's delay behind the earliest, ms, sorted, (n,)."""
     measured_hz = 1e9 / float(np.polyfit(ticks, arrived_ns - arrived_ns[0], 1)[0])
     behind_ns = arrived_ns - ticks * (1e9 / measured_hz)
     return measured_hz, np.sort(behind_ns - behind_ns.min()) / 1e6
 
 
 def check_sample_clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> CheckResult:
-    """Blocks by the tick after their last sample, (n,), and when each had been read."""
+    """Check rate and lateness of blocks by the tick after their last sample and their time of reading, (n,) each."""
     check = "sample clock"
     measured_hz, late_ms = lateness_ms(ticks, arrived_ns)
     figures = {
@@ -154,7 +154,7 @@ def check_sample_clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float
 
 
 def check_strain(rest: RawSignals, tool: Tool) -> CheckResult:
-    """The strain gage with the motor at zero and the jaws open."""
+    """Check the strain gage with the motor at zero and the jaws open."""
     check, calibration, volts = "strain gage at rest", tool.calibration, rest.strain_v
     mean_v, sd_v, (least_v, most_v) = float(volts.mean()), float(volts.std()), compute_noise_range_v(tool)
     figures = {"rest_v": mean_v, "noise_v": sd_v}
@@ -187,7 +187,7 @@ def check_strain(rest: RawSignals, tool: Tool) -> CheckResult:
 
 
 def _find_swapped_channel(rest: RawSignals, tool: Tool) -> str | None:
-    """Which other channel looks like the strain gage, where the strain gage's does not."""
+    """Return the other channel that looks like the strain gage, if the strain gage's own does not."""
     channels = tool.channels
     others = {
         f"the motor command read back ({channels.motor_command_readback})": rest.readback_v,
@@ -205,7 +205,7 @@ def _looks_like_strain(volts: np.ndarray, tool: Tool) -> bool:
 
 
 def _compute_mains_share(volts: np.ndarray, rate_hz: float) -> float:
-    """The share of the variance at the frequency of the mains."""
+    """Return the share of the variance at the frequency of the mains."""
     power = np.abs(np.fft.rfft(volts - volts.mean())) ** 2
     at_hz = np.fft.rfftfreq(len(volts), 1.0 / rate_hz)
     near = np.any([np.abs(at_hz - mains_hz) <= 2.0 for mains_hz in MAINS_HZ], axis=0)
@@ -213,7 +213,7 @@ def _compute_mains_share(volts: np.ndarray, rate_hz: float) -> float:
 
 
 def check_command_at_zero(rest: RawSignals, tool: Tool) -> CheckResult:
-    """The motor command read back with the motor at zero."""
+    """Check the read-back of the motor command with the motor at zero."""
     check, most_v = "motor at zero", float(np.abs(rest.readback_v).max())
     if most_v < COMMAND_ON_V:
         return CheckResult(
@@ -236,7 +236,7 @@ def check_encoder_at_rest(rest: RawSignals) -> CheckResult:
 
 
 def check_touch_sensors(rest: RawSignals, tool: Tool) -> CheckResult:
-    """The touch sensors with the jaws open and empty."""
+    """Check the touch sensors with the jaws open and empty."""
     check, threshold_v = "touch sensors at rest", tool.contact.touch_threshold_v
     levels_v = [float(np.median(volts)) for volts in rest.touch_v]
     figures = {"touch_1_v": levels_v[0], "touch_2_v": levels_v[1]}
@@ -249,7 +249,7 @@ def check_touch_sensors(rest: RawSignals, tool: Tool) -> CheckResult:
 
 
 def check_readback(commands_v: np.ndarray, readback_v: np.ndarray, tool: Tool) -> CheckResult:
-    """Levels that were commanded, (n,), and the mean of what was read back at each."""
+    """Check the mean read-back against the command at several levels, (n,) each."""
     check, channels = "motor command read back", tool.channels
     gain, offset_v = (float(value) for value in np.polyfit(commands_v, readback_v, 1))
     figures = {"gain": gain, "offset_v": offset_v}
@@ -270,7 +270,7 @@ def check_readback(commands_v: np.ndarray, readback_v: np.ndarray, tool: Tool) -
 
 
 def check_round_trip(samples: int, tool: Tool) -> CheckResult:
-    """How many samples after the last one known when a command was written it was read back."""
+    """Check the samples between the last known one at a command's write and its read-back."""
     check, took_ms = "round trip", 1e3 * samples / tool.board.sample_rate_hz
     figures = {"delay_ms": took_ms}
     if took_ms <= MAX_ROUND_TRIP_MS:
@@ -286,7 +286,7 @@ def check_round_trip(samples: int, tool: Tool) -> CheckResult:
 
 
 def check_encoder_direction(turned_deg: float, tool: Tool) -> CheckResult:
-    """How far the encoder turned while the jaws closed."""
+    """Check how far the encoder turned while the jaws closed."""
     check, figures, name = "encoder direction", {"turned_deg": turned_deg}, tool.channels.encoder
     if turned_deg >= MIN_TURN_DEG:
         return CheckResult(check, CheckOutcome.PASS, f"closing turns it by {turned_deg:+.0f} degrees", figures)
@@ -301,7 +301,7 @@ def check_encoder_direction(turned_deg: float, tool: Tool) -> CheckResult:
 
 
 def check_encoder_scale(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> CheckResult:
-    """Means at some levels of force with the jaws shut, (n,): Eq. (3) tells how far the cable stretches a volt."""
+    """Check the cable's stretch per volt, Eq. (3), from means at several levels of force on shut jaws, (n,) each."""
     check, expected = "encoder scale", tool.calibration.encoder_deg_per_volt
     if np.ptp(strain_v) < MIN_STRAIN_CHANGE_V or not expected:
         return CheckResult(

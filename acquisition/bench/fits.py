@@ -1,6 +1,6 @@
-"""Constants of a tool from what was measured at the bench, each with its confidence interval; bad fits are refused.
+"""Fits of a tool's constants from bench measurements, with confidence intervals; bad fits are refused.
 
-Least squares with Student's t throughout: the scatter comes from the readings themselves, not from an assumed noise.
+All are least squares with Student's t: the scatter comes from the readings, not from an assumed noise.
 """
 
 from collections.abc import Sequence
@@ -16,21 +16,21 @@ from config.errors import CalibrationError
 from config.schema import Tool
 
 CONFIDENCE = 0.95
-REST_SEGMENTS = 20  # of a reading at rest: their means scatter as slowly as the offset walks
+REST_SEGMENTS = 20  # of a reading at rest: their means scatter as slowly as the offset drifts
 MAX_REST_DRIFT_V = 0.005  # of the rest voltage within a reading
 MIN_WEIGHTS, MIN_GAUGES, MIN_PASSES = 4, 3, 3
-MAX_WEIGHT_RESIDUAL_SHARE = 0.02  # of the span, by which a reading may lie off the line
-MAX_INTERVAL_SHARE = 0.02  # of a constant: half of its confidence interval
+MAX_WEIGHT_RESIDUAL_SHARE = 0.02  # of the span, for the distance of a reading from the line
+MAX_INTERVAL_SHARE = 0.02  # of a constant, for half of its confidence interval
 MAX_CURVATURE_SHARE = 0.05
-"""By which the stretch may change from the lower to the upper half of the force: shut jaws yield along a line."""
+"""Change of the stretch from the lower to the upper half of the force; shut jaws yield along a line."""
 MIN_STRETCH_SHARE = 0.6  # of the stretch that the tool file names
-MAX_PASS_SCATTER_SHARE = 0.1  # of the stretch, standard deviation from pass to pass
+MAX_PASS_SCATTER_SHARE = 0.1  # of the stretch, for the standard deviation from pass to pass
 MAX_GAUGE_RESIDUAL_M = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class FittedConstant:
-    """One constant of a tool file, as measured: with its confidence interval, and what the fit leaves (RMS)."""
+    """One measured constant of a tool file with its confidence interval and the fit's residual (RMS)."""
 
     key: str  # in the tool file, e.g. `calibration.newton_per_volt`
     value: float
@@ -43,13 +43,12 @@ class FittedConstant:
 
     @property
     def interval_half_width_share(self) -> float:
-        """Half of the confidence interval as a share of the constant."""
         return (self.high - self.low) / 2 / abs(self.value)
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFit:
-    """What a calibration found, and the points and the line of its plot."""
+    """Result of a calibration, with the points and the line of its plot."""
 
     constants: tuple[FittedConstant, ...]
     points: tuple[np.ndarray, np.ndarray]
@@ -59,13 +58,13 @@ class CalibrationFit:
 
 
 def read_current_value(constant: FittedConstant, tool: Tool) -> float | None:
-    """What the tool file says."""
+    """Return the constant's value in the tool file."""
     table, key = constant.key.split(".")
     return getattr(getattr(tool, table), key)
 
 
 def fit_tare(rest: RawSignals, tool: Tool) -> CalibrationFit:
-    """Rest voltage and its noise, of the strain gage with the motor at zero and the jaws open.
+    """Fit the strain gage's rest voltage and noise, with the motor at zero and the jaws open.
 
     Raises:
         CalibrationError: the tool is not at rest, or its strain gage is not sound.
@@ -73,7 +72,7 @@ def fit_tare(rest: RawSignals, tool: Tool) -> CalibrationFit:
     volts, rate_hz = rest.strain_v, tool.board.sample_rate_hz
     _check_numbers(volts, rest.encoder_deg)
     least_v, most_v = compute_noise_range_v(tool)
-    sd_v = float(np.std(np.diff(volts))) / np.sqrt(2)  # of neighbours: without what walks slowly
+    sd_v = float(np.std(np.diff(volts))) / np.sqrt(2)  # of differences between neighbors, which exclude slow drift
     if np.abs(volts).max() > SATURATION_SHARE * tool.channels.analog_range_v:
         raise CalibrationError(
             f"The strain gage reads {volts[np.abs(volts).argmax()]:.2f} V, the end of its range: look for a broken "
@@ -109,7 +108,7 @@ def fit_tare(rest: RawSignals, tool: Tool) -> CalibrationFit:
 
 
 def fit_strain(weights_n: Sequence[float], readings: Sequence[RawSignals], tool: Tool) -> CalibrationFit:
-    """Eq. (1) from known pulls on the handle, N, in the order in which they were read; rest (0 N) is one of them.
+    """Fit Eq. (1) to known pulls on the handle, N, in the order of reading; rest (0 N) is one of them.
 
     Raises:
         CalibrationError: too few or impossible pulls, or readings that do not follow them.
@@ -132,7 +131,7 @@ def fit_strain(weights_n: Sequence[float], readings: Sequence[RawSignals], tool:
         raise CalibrationError(
             "The strain gage falls as the pull grows: exchange the two signal wires of the bridge, then repeat."
         )
-    slope, intercept, slope_se = _fit_line(pulls_n, volts)  # V a newton: the pulls are known, the volts scatter
+    slope, intercept, slope_se = _fit_line(pulls_n, volts)  # V/N: the pulls are known, the volts scatter
     left_v = volts - (intercept + slope * pulls_n)
     worst = int(np.abs(left_v).argmax())
     span_v = float(np.ptp(volts))
@@ -166,7 +165,7 @@ def fit_strain(weights_n: Sequence[float], readings: Sequence[RawSignals], tool:
 
 
 def check_pulls(weights_n: Sequence[float]) -> np.ndarray:
-    """The pulls as an array.
+    """Return the pulls as an array.
 
     Raises:
         CalibrationError: there are too few, or impossible ones.
@@ -191,7 +190,7 @@ class LoadingPass:
 
 
 def fit_stretch(passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
-    """Eq. (3) from jaws that are shut: how far the encoder turns a volt. One slope a pass, their mean is the constant.
+    """Fit Eq. (3) on shut jaws: the encoder's turn per volt, as the mean of one slope a pass.
 
     Raises:
         CalibrationError: something yields between the jaws, the encoder slips, or the passes disagree.
@@ -242,16 +241,16 @@ def fit_stretch(passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
 
 
 def fit_geometry(gauges_m: Sequence[float], passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
-    """Opening of the jaws and ratio of handle to encoder, Eqs. (4) to (6), from gauges of known thickness.
+    """Fit the opening of the jaws and the ratio of handle to encoder, Eqs. (4) to (6), to gauges of known thickness.
 
     Args:
-        gauges_m: thickness of what the jaws shut on; 0 for each other.
-        passes: for each the strain over rest and the encoder since the jaws stood open, at some forces.
+        gauges_m: thickness of each gauge; 0 for jaws shut on each other.
+        passes: for each gauge the strain over rest and the encoder angle since open jaws, at several forces.
 
     Raises:
-        CalibrationError: too few gauges, readings that do not follow them, or none that the linkage can have.
+        CalibrationError: too few gauges, readings that do not follow them, or values outside the linkage's range.
     """
-    from scipy.optimize import least_squares  # takes a while, and the service needs it only for this
+    from scipy.optimize import least_squares  # takes a while, and the service needs it only here
 
     thick_m = check_gauges(gauges_m)
     stretch_deg = tool.calibration.encoder_deg_per_volt
@@ -316,7 +315,7 @@ def fit_geometry(gauges_m: Sequence[float], passes: Sequence[LoadingPass], tool:
 
 
 def check_gauges(gauges_m: Sequence[float]) -> np.ndarray:
-    """The thicknesses as an array.
+    """Return the thicknesses as an array.
 
     Raises:
         CalibrationError: there are too few, or impossible ones.
@@ -347,7 +346,7 @@ def _check_interval_width(constant: FittedConstant) -> None:
 
 
 def check_steady(reading: RawSignals, which: str, tool: Tool) -> None:
-    """One reading under a pull that is known.
+    """Check one reading under a known pull.
 
     Raises:
         CalibrationError: the gage is not still, or not sound.
@@ -372,14 +371,14 @@ def _check_numbers(*signals: np.ndarray) -> None:
 
 
 def _compute_curvature_share(each: LoadingPass) -> float:
-    """Change of the slope from the middle of the lower half of the strain to that of the upper, as a share of it."""
+    """Return the change of slope between the middles of both halves of the strain, as a share of the slope."""
     middle_v, half_v = (each.strain_v.max() + each.strain_v.min()) / 2, np.ptp(each.strain_v) / 2
     quadratic, slope, _ = np.polyfit((each.strain_v - middle_v) / half_v, each.encoder_deg, 2)
     return float(2 * quadratic / slope) if slope else 0.0
 
 
 def _fit_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-    """Slope, value at zero, and standard error of the slope of the least-squares line."""
+    """Return slope, value at zero, and standard error of the slope of the least-squares line."""
     centred = x - x.mean()
     slope = float(centred @ y / (centred @ centred))
     at_zero = float(y.mean() - slope * x.mean())
@@ -389,7 +388,7 @@ def _fit_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
 
 
 def _compute_student_quantile(freedom: int) -> float:
-    """Student's t for a two-sided interval."""
-    from scipy.special import stdtrit  # takes a while, and the service needs it only for this
+    """Return Student's t for a two-sided interval."""
+    from scipy.special import stdtrit  # takes a while, and the service needs it only here
 
     return float(stdtrit(freedom, (1 + CONFIDENCE) / 2))

@@ -1,4 +1,4 @@
-"""Moves jaws that nothing alive is in: gently shut, held at steps of force, let go."""
+"""Motion of empty jaws for checks: shut gently, hold levels of force, open."""
 
 import contextlib
 import multiprocessing
@@ -17,25 +17,25 @@ from config.schema import Tool, ToolKind
 
 CLOSING_COMMAND_V = 0.5
 """0.8 N on the Smart Tool, a third of the lowest injury threshold."""
-RAMP_STEP_V = 0.01  # a block
+RAMP_STEP_V = 0.01  # in one block
 CLOSING_TIMEOUT_S = 3.0  # for the jaws to shut
 STANDSTILL_BLOCKS, STANDSTILL_DEG = 40, 0.1
 LEVEL_BLOCKS, SETTLING_BLOCKS = 40, 16
 MAX_STRAIN_V = 0.4
-"""Beyond rest: 2 to 3 N, more than the motion comes to."""
+"""Over rest: 2 to 3 N, more than this motion needs."""
 
 
 class EmptyJaws:
-    """The jaws of a tool that is open, and what its strain gage reads at rest."""
+    """The empty jaws of an open tool, whose strain gage rests at `rest_v`."""
 
     def __init__(self, source: NidaqSource, tool: Tool, rest_v: float) -> None:
         self._source, self._tool, self._rest_v = source, tool, rest_v
 
     def read_block(self) -> RawBlock:
-        """The next block.
+        """Return the next block.
 
         Raises:
-            ToolError: more force than the motion can come to; the motor is at zero.
+            ToolError: the force is larger than empty jaws can have; the motor is at zero.
         """
         block = self._source.read_block()
         strain_v = float(np.median(block.strain_v)) - self._rest_v
@@ -49,7 +49,7 @@ class EmptyJaws:
         return block
 
     def close(self) -> float:
-        """Close until the encoder stands; its angle then, degrees."""
+        """Close until the encoder stands still; return its angle, degrees."""
         written, last_deg, still = self._source.write_command(0.0), float("inf"), 0
         for _ in range(count_blocks(CLOSING_TIMEOUT_S, self._tool)):
             if written.command_v < CLOSING_COMMAND_V:
@@ -64,18 +64,18 @@ class EmptyJaws:
         return last_deg
 
     def settle_at(self, level_v: float) -> RawSignals:
-        """What the sensors read once a level of the command has settled."""
+        """Return the signals after the command has settled at a level."""
         written = self._source.write_command(level_v)
         return read_settled(written, self.read_block)
 
 
 def is_before_command(block: RawBlock, written: AppliedCommand) -> bool:
-    """Whether all of the block was taken before the command was on: a reader may lag."""
+    """Return whether the whole block was taken before the command took effect; a reader may lag."""
     return block.first_tick + len(block) <= written.latest_tick
 
 
 def read_settled(written: AppliedCommand, read: Callable[[], RawBlock]) -> RawSignals:
-    """The next samples that were taken once the command had settled."""
+    """Return the next signals that were taken once the command had settled."""
     while is_before_command(block := read(), written):
         pass
     return concatenate_signals([block, *(read() for _ in range(LEVEL_BLOCKS - 1))][SETTLING_BLOCKS:])
@@ -86,7 +86,7 @@ def count_blocks(seconds: float, tool: Tool) -> int:
 
 
 def concatenate_signals(blocks: list[RawBlock]) -> RawSignals:
-    """The signals of consecutive blocks as one stretch."""
+    """Return the signals of consecutive blocks as one."""
 
     def of(name: str) -> np.ndarray:
         return np.concatenate([getattr(block, name) for block in blocks])
@@ -96,9 +96,9 @@ def concatenate_signals(blocks: list[RawBlock]) -> RawSignals:
 
 @contextlib.contextmanager
 def zero_on_process_death(tool: Tool) -> Iterator[None]:
-    """Meanwhile a process of its own waits: should this one be killed, it resets the board, which holds its output."""
+    """Run a process inside the `with` block that resets the board if this one is killed: the board holds its output."""
     if tool.kind is not ToolKind.NIDAQ:
-        yield  # a simulated board is gone with the process
+        yield  # a simulated board ends with the process
         return
     near, far = multiprocessing.Pipe()
     watcher = multiprocessing.get_context("spawn").Process(target=_reset_on_broken_pipe, args=(tool, far))
@@ -113,8 +113,8 @@ def zero_on_process_death(tool: Tool) -> Iterator[None]:
 
 
 def _reset_on_broken_pipe(tool: Tool, line: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C is for the one who is watched
-    read_driver_version(tool)  # and with it connect, so that a reset is quick
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C is for the watched process
+    read_driver_version(tool)  # connects to the board's server, so that a reset is quick
     line.send("watching")
     try:
         line.recv()

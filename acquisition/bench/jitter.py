@@ -1,4 +1,4 @@
-"""How late blocks are read and conditioned, in a process of its own with what `[realtime]` asks for."""
+"""Measurement of how late blocks are read and conditioned, in a separate process with the settings of `[realtime]`."""
 
 import multiprocessing
 import os
@@ -26,7 +26,7 @@ QUANTILES = {"median": 0.5, "p99": 0.99, "p99_9": 0.999, "longest": 1.0}
 
 @dataclass(frozen=True, slots=True)
 class Jitter:
-    """Lateness of blocks, ms, by the names of QUANTILES; what the system granted; what ended the tool early."""
+    """Lateness of blocks, ms, by the names of QUANTILES; granted priority; the error that ended the tool early."""
 
     late_ms: dict[str, float]
     blocks: int
@@ -43,7 +43,7 @@ def measure_jitter(
     priority: int,
     seconds: float,
 ) -> Jitter:
-    """Read the tool at rest, motor at zero; `priority` is the acquisition's.
+    """Measure the lateness of a tool at rest, motor at zero; `priority` is the acquisition's.
 
     Raises:
         ToolError: the tool cannot be opened.
@@ -101,7 +101,7 @@ def _measure_in_process(
 
 @contextmanager
 def cpu_load(on: bool) -> Iterator[None]:
-    """Meanwhile, one program a core that only computes."""
+    """If `on`, run one program a core that only computes, inside the `with` block."""
     context = multiprocessing.get_context("spawn")
     programs = [
         context.Process(target=_compute_forever, daemon=True) for _ in range((os.cpu_count() or 1) if on else 0)

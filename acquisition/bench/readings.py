@@ -1,4 +1,4 @@
-"""Takes the readings that a calibration is fitted to; the board is open only while one is read."""
+"""Readings for calibrations. The board is open only during a reading."""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -26,15 +26,16 @@ SETTLING_S = 0.08
 PASS_COUNT = 6
 LEVELS_V = tuple(np.linspace(0.1, CLOSING_COMMAND_V, 9).tolist())
 LEVEL_SEQUENCE = [8, *(level for n in range(PASS_COUNT) for level in (range(7, -1, -1) if n % 2 == 0 else range(1, 9)))]
-"""In turn, from the highest one down and up again; each an index of `LEVELS_V`."""
+"""Indices of `LEVELS_V`, from the highest down and up again."""
 PEAK_SHARES = (0.4, 0.75)
-"""Of a grasp's highest strain, between which shut jaws are closed further: 2.0 to 3.1 V on the recordings of 2013. A
-tenth more or less at either end moves the stretch by 1 %."""
+"""Shares of a grasp's highest strain between which shut jaws close further: 2.0 to 3.1 V on the recordings of 2013. A
+tenth more or less at either end changes the stretch by 1 %.
+"""
 MIN_PASS_SAMPLES = 8
 
 
 class CalibrationBench:
-    """A tool without tissue. `options` leads to a simulated board; its grasper is told by `put` what is done to it."""
+    """A tool without tissue. `options` leads to a simulated board, whose grasper `set_load` loads."""
 
     def __init__(
         self,
@@ -44,15 +45,15 @@ class CalibrationBench:
         set_load: Callable[[float, float], None] = lambda pull_n, gauge_m: None,
         reading_context: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:
-        """`put(pull_n, gauge_m)`: the pull on the handle, and the gauge between the jaws, from the next reading on.
+        """`set_load(pull_n, gauge_m)` sets pull on the handle and gauge between the jaws, from the next reading on.
 
-        Each reading is taken within `reading()`, which may ask the system for priority.
+        Each reading is taken within `reading_context()`, which may ask the system for priority.
         """
         self._tool, self._options, self._clock, self._set_load = tool, options, clock, set_load
         self._reading_context = reading_context
 
     def read_at_rest(self) -> RawSignals:
-        """The open jaws, for ten seconds.
+        """Read the open jaws for ten seconds.
 
         Raises:
             ToolError: the board failed.
@@ -60,7 +61,7 @@ class CalibrationBench:
         return self._read_still(TARE_S, 0.0)
 
     def read_under_pull(self, pull_n: float) -> RawSignals:
-        """The motor at zero, and a weight on the handle.
+        """Read with the motor at zero and a weight on the handle.
 
         Raises:
             ToolError: the board failed.
@@ -73,7 +74,7 @@ class CalibrationBench:
             return concatenate_signals([source.read_block() for _ in range(count_blocks(seconds, self._tool))])
 
     def read_closed_jaws(self) -> list[LoadingPass]:
-        """Empty jaws, shut, with a force that rises and falls in turn.
+        """Read empty, shut jaws under a force that rises and falls in turn.
 
         Raises:
             ToolError: the board failed; the motor is at zero.
@@ -82,7 +83,7 @@ class CalibrationBench:
         return self._play_passes(0.0)
 
     def read_on_gauge(self, gauge_m: float) -> LoadingPass:
-        """The same with a gauge between the jaws, all passes in one.
+        """Read the jaws shut on a gauge, all passes in one.
 
         Raises:
             ToolError: the board failed; the motor is at zero.
@@ -91,13 +92,12 @@ class CalibrationBench:
         return merge_passes(self._play_passes(gauge_m))
 
     def _play_passes(self, gauge_m: float) -> list[LoadingPass]:
-        """`shutting`, armed and watched as any run."""
+        """Play the closing protocol, armed and monitored as any run."""
         self._set_load(0.0, gauge_m)
         tool, blocks = self._tool, []
         source = NidaqSource(tool, self._options, self._clock)
-        acquisition = AcquisitionController(
-            source, tool, ConditioningSettings()
-        )  # takes a while: before samples are due
+        # Takes a while, so before samples are due.
+        acquisition = AcquisitionController(source, tool, ConditioningSettings())
         with zero_on_process_death(tool), self._reading_context(), source:
             acquisition.arm()
             while acquisition.safety is Safety.TESTING:
@@ -114,12 +114,12 @@ class CalibrationBench:
 
 
 def merge_passes(passes: Sequence[LoadingPass]) -> LoadingPass:
-    """All readings of several passes."""
+    """Return all readings of several passes as one."""
     return LoadingPass(*(np.concatenate([getattr(each, name) for each in passes]) for name in LoadingPass.__slots__))
 
 
 def extract_signals(blocks: Sequence[SampleBlock]) -> RawSignals:
-    """The raw signals of consecutive blocks."""
+    """Return the raw signals of consecutive blocks."""
     samples = np.concatenate([block.samples for block in blocks])
     return RawSignals(
         samples["strain_v"],
@@ -130,7 +130,7 @@ def extract_signals(blocks: Sequence[SampleBlock]) -> RawSignals:
 
 
 def build_closing_protocol() -> GraspProtocol:
-    """What shuts empty jaws gently, then lets the force on them fall and rise in steps: played like any protocol."""
+    """Return the protocol that shuts empty jaws gently, then lets the force on them fall and rise in steps."""
     time_s, command_v = [0.0], [0.0]
     for n, level_v in enumerate(LEVELS_V[level] for level in LEVEL_SEQUENCE):
         begin_s = time_s[-1] + (CLOSE_S if n == 0 else STEP_S)
@@ -143,7 +143,7 @@ def build_closing_protocol() -> GraspProtocol:
 
 
 def extract_passes(signals: RawSignals, tool: Tool) -> list[LoadingPass]:
-    """Passes of `shutting` as it was played: strain over rest, encoder since the open jaws.
+    """Return the passes of a played closing protocol: strain over rest, encoder since open jaws.
 
     Raises:
         CalibrationError: it was not played to its end, or the encoder does not follow.
@@ -156,7 +156,7 @@ def extract_passes(signals: RawSignals, tool: Tool) -> list[LoadingPass]:
     pieces = np.split(np.arange(len(level)), edges)
     pieces = [piece for piece in pieces if level[piece[0]] >= 0 and len(piece) >= LEVEL_S / 2 * rate_hz]
     found = [int(level[piece[0]]) for piece in pieces]
-    begin = found.index(steps) if steps in found else 0  # a ramp that was held up on its way counts for nothing
+    begin = found.index(steps) if steps in found else 0  # drops an interrupted first ramp
     pieces, found = pieces[begin : begin + PASS_COUNT * steps + 1], found[begin : begin + PASS_COUNT * steps + 1]
     driven = np.flatnonzero(signals.readback_v > COMMAND_ON_V)
     if found != LEVEL_SEQUENCE or not len(driven) or driven[0] < rate_hz * REST_S / 2:
@@ -175,7 +175,7 @@ def extract_passes(signals: RawSignals, tool: Tool) -> list[LoadingPass]:
 
 
 def extract_recorded_passes(recording: RecordingSource) -> list[LoadingPass]:
-    """Each grasp's closing, from where the jaws are shut; rest is what the gage read right before the grasp."""
+    """Return each grasp's closing with shut jaws; rest is the gage's reading right before the grasp."""
     tool = recording.tool
     with recording as source:
         signals = concatenate_signals(list(iter(source.read_block, None)))

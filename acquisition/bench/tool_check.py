@@ -1,4 +1,4 @@
-"""Walks a tool from its driver to its jaws; nothing moves before the user agrees."""
+"""Check of a tool from its driver to its jaws; the jaws do not move before the user agrees."""
 
 import contextlib
 import datetime
@@ -27,13 +27,13 @@ LEVELS_V = (0.5, 0.4, 0.3, 0.2, 0.1)
 AT_REST_CHECKS = ("sample clock", "strain gage at rest", "motor at zero", "encoder at rest", "touch sensors at rest")
 MOVING_CHECKS = ("motor command read back", "round trip", "encoder direction", "encoder scale")
 ZERO_AFTERWARDS_CHECK = "motor at zero afterwards"
-CONSTANT_CHECKS = ("calibration", "force scale")  # they say nothing of the wiring
+CONSTANT_CHECKS = ("calibration", "force scale")  # these do not concern the wiring
 
 
 class HardwareCheck:
-    """One tool. `options` leads to a simulated board; without it the tool file says how the board is reached.
+    """Checks of one tool. `options` leads to a simulated board; without it the tool file names the board.
 
-    `reading` is entered once, while the tool at rest is read: as promptly as it will be read in earnest.
+    `reading_context` is entered once, for the reading at rest, so that blocks come as promptly as in a run.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class HardwareCheck:
         self._reading_context = reading_context or contextlib.nullcontext()
 
     def run_checks(self, may_move: Callable[[], bool]) -> Iterator[CheckResult]:
-        """All checks in their order, as they come; `may_move` is asked once the tool at rest is sound."""
+        """Yield the results of all checks in order; call `may_move` once the tool at rest is sound."""
         failed = None
         for finding in self._check_board():
             yield finding
@@ -63,7 +63,7 @@ class HardwareCheck:
             yield CheckResult("board in use", CheckOutcome.FAIL, str(error))
 
     def _check_board(self) -> Iterator[CheckResult]:
-        """What can be known without starting anything."""
+        """Yield the results of the checks that start nothing."""
         try:
             version = read_driver_version(self._tool, self._options)
         except ToolError as error:
@@ -120,7 +120,7 @@ class HardwareCheck:
         yield replace(checks.check_command_at_zero(after, tool), check=ZERO_AFTERWARDS_CHECK)
 
     def _check_moving(self, source: NidaqSource, jaws: EmptyJaws) -> Iterator[CheckResult]:
-        """Shut the empty jaws gently, then let them go step by step."""
+        """Shut the empty jaws gently, then release them step by step."""
         tool = self._tool
         begin = jaws.read_block()
         shut = jaws.close()
@@ -139,7 +139,7 @@ class HardwareCheck:
             yield from _skip_checks(("encoder scale",), direction.check)
 
     def _measure_round_trip(self, source: NidaqSource, jaws: EmptyJaws) -> int:
-        """Samples from the write of a command of zero to the first that is read back so."""
+        """Return the samples from the write of a zero command to its first read-back."""
         written = source.write_command(0.0)
         for _ in range(count_blocks(0.5, self._tool)):
             block = jaws.read_block()

@@ -1,1 +1,1 @@
-"""Where raw samples come from, and where commands go to."""
+"""Sample sources and the output of motor commands."""

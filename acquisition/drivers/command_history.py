@@ -1,7 +1,7 @@
-"""Which motor command was on when a sample was taken: told by the board's own count of samples, not by the reader's.
+"""The motor command of each sample, by the board's own count of samples instead of the reader's.
 
-A reader that lags reads samples that were taken under commands long replaced. So each write is kept with the ticks
-between which it took effect, and each sample is compared with the command of its own tick.
+A reader that lags reads samples taken under commands that have been replaced since. So each write is kept with the
+ticks between which it took effect, and each sample is compared with the command of its own tick.
 """
 
 import math
@@ -12,7 +12,7 @@ from itertools import islice
 
 @dataclass(frozen=True, slots=True)
 class AppliedCommand:
-    """A motor command, V: off at samples before tick `earliest`, on at those from tick `latest` on, unknown between."""
+    """A motor command, V: off before tick `earliest_tick`, on from tick `latest_tick` on, unknown in between."""
 
     command_v: float
     earliest_tick: int
@@ -21,7 +21,7 @@ class AppliedCommand:
 
 @dataclass(frozen=True, slots=True)
 class CommandBounds:
-    """The commands of consecutive samples, V: the bounds of what may have been on, and what most likely was; flags."""
+    """The commands of consecutive samples, V: bounds, most likely values, and the limiter's flags."""
 
     low_v: list[float]
     high_v: list[float]
@@ -29,16 +29,16 @@ class CommandBounds:
     flags: list[int]
 
     def compute_deviations_v(self, readback_v: list[float]) -> list[float]:
-        """By how much each read-back is beyond the bounds, V; infinite where it is no number."""
+        """Return how far each read-back is outside the bounds, V; infinite where it is not finite."""
         bounds = zip(readback_v, self.low_v, self.high_v, strict=True)
         return [max(low - v, v - high, 0.0) if math.isfinite(v) else math.inf for v, low, high in bounds]
 
 
 @dataclass(frozen=True, slots=True)
 class SampleCountReading:
-    """How many samples a board has taken, as it told last: `count` at a moment between `asked_ns` and `answered_ns`.
+    """A board's report of how many samples it has taken: `count`, between `requested_ns` and `answered_ns`.
 
-    From there on the clocks of board and computer count alike: 100 ppm of difference are 0.1 samples in a second.
+    From there the count is extrapolated: 100 ppm between the clocks of board and computer are 0.1 samples a second.
     """
 
     rate_hz: float
@@ -47,23 +47,22 @@ class SampleCountReading:
     count: int = 0
 
     def min_count_at(self, at_ns: int) -> int:
-        """At `at_ns`, not before the answer."""
+        """Return the lowest possible count at `at_ns`, which is not before the answer."""
         return self.count + math.floor((at_ns - self.answered_ns) * self.rate_hz / 1e9)
 
     def max_count_at(self, at_ns: int) -> int:
-        """At `at_ns`, not before the question."""
+        """Return the highest possible count at `at_ns`, which is not before the request."""
         return self.count + math.ceil((at_ns - self.requested_ns) * self.rate_hz / 1e9)
 
 
 class CommandHistory:
-    """Keeps written commands for as long as samples that were taken under them may come."""
+    """History of written commands, as long as samples taken under them may still come."""
 
     def __init__(self) -> None:
         self._writes: deque[tuple[AppliedCommand, int]] = deque([(AppliedCommand(0.0, 0, 0), 0)])
 
     @property
     def last_command_v(self) -> float:
-        """The command written last, V."""
         return self._writes[-1][0].command_v
 
     @property
@@ -71,7 +70,7 @@ class CommandHistory:
         return self._writes[-1][1]
 
     def append(self, written: AppliedCommand, flags: int) -> None:
-        """Keep a command; `flags` say of it what the limiter did (`Flag`)."""
+        """Add a command; `flags` (`SampleFlag`) are the limiter's at that command."""
         before = self._writes[-1][0]
         earliest, latest = (
             max(written.earliest_tick, before.earliest_tick),
@@ -80,7 +79,7 @@ class CommandHistory:
         self._writes.append((AppliedCommand(written.command_v, earliest, latest), flags))
 
     def compute_bounds(self, first_tick: int, samples: int) -> CommandBounds:
-        """The commands of samples from `first_tick` on; later calls ask for later samples."""
+        """Return the commands of samples from `first_tick` on; later calls must ask for later samples."""
         commands = CommandBounds([], [], [], [])
         for tick in range(first_tick, first_tick + samples):
             while len(self._writes) > 1 and self._writes[1][0].latest_tick <= tick:

@@ -1,4 +1,4 @@
-"""The grasper behind an NI board, through NI's own package: the same code for the real board and the simulated one."""
+"""The driver of NI boards through NI's own package: the same code for real and simulated boards."""
 
 import contextlib
 import functools
@@ -26,10 +26,10 @@ from config.errors import RefusedError, ToolError
 from config.network import is_this_computer
 from config.schema import Board, Tool
 
-# DaqBaseError holds a missing driver, a failing board and a lost server; OSError comes from a driver that cannot load.
+# DaqBaseError covers a missing driver, a failing board and a lost server; OSError a driver that cannot load.
 _BOARD_ERRORS = (DaqBaseError, OSError)
 
-READ_TIMEOUT_MARGIN_S = 0.008  # beyond the duration of a block: without samples nobody knows the force
+READ_TIMEOUT_MARGIN_S = 0.008  # beyond the duration of a block: without samples the force is not known
 _WRITE_TIMEOUT_S = 1.0
 COUNT_INTERVAL_NS, MAX_COUNT_LATENCY_NS, MAX_COUNT_AGE_NS = 100_000_000, 2_000_000, 1_000_000_000
 _GRPC_OPTIONS = (("grpc.max_reconnect_backoff_ms", 200), ("grpc.initial_reconnect_backoff_ms", 50))
@@ -51,9 +51,9 @@ _ERROR_TEXTS = {
 
 
 class NidaqSource:
-    """A `Source` on one NI board: hardware-clocked inputs, encoder on the same clock, on-demand motor command.
+    """A `SampleSource` on one NI board: hardware-clocked inputs, encoder on the same clock, on-demand motor command.
 
-    Samples are never bridged over: a late, short or failed read leaves the motor at zero and closes the board, which
+    Missing samples are never replaced: a late, short or failed read sets the motor to zero and closes the board, which
     then has to be opened again. Only the first block after `reopen` has `lost_samples`.
     """
 
@@ -65,7 +65,7 @@ class NidaqSource:
     ) -> None:
         """`grpc_options` leads to a simulated or remote board; without it the installed driver is used.
 
-        `clock` gives `t_mono_ns` of a block, the moment at which it had been read, ns.
+        `clock` returns the time of a block's read, `t_mono_ns`, ns.
         """
         self._tool = tool
         self._grpc_options = grpc_options
@@ -89,7 +89,7 @@ class NidaqSource:
             self._open_motor()
             encoder = self._open_encoder()
             analog = self._open_analog()
-            encoder.start()  # waits for the start of the analog inputs, which drive its clock
+            encoder.start()  # waits for the start of the analog inputs, whose clock it uses
             begin_ns = self._clock()
             analog.start()
             self._sample_count = SampleCountReading(
@@ -110,7 +110,7 @@ class NidaqSource:
             raise ToolError(_switch_off_text(self._tool))
 
     def reopen(self) -> None:
-        """Open a board that gave up while this process was held up; ticks go on as if its clock had never stopped.
+        """Open the board again after this process was held up; ticks continue as if its clock had never stopped.
 
         Raises:
             ToolError: as on entering.
@@ -121,7 +121,7 @@ class NidaqSource:
         self.__enter__()
 
     def read_block(self) -> RawBlock:
-        """The next `block_samples` samples.
+        """Return the next `block_samples` samples.
 
         Raises:
             ToolError: a sample is late or lost, or the board failed; the motor has been commanded to zero.
@@ -135,7 +135,7 @@ class NidaqSource:
             self._update_sample_count(self._last_read_ns)
         except _BOARD_ERRORS as error:
             raise self._close_with_error(error) from error
-        except BaseException:  # interrupted between the two reads: the next pair would not belong together
+        except BaseException:  # interrupted between the two reads: the next pair would not match
             self._close()
             raise
         if min(got_v, got_deg) < n:
@@ -158,7 +158,7 @@ class NidaqSource:
         return block
 
     def _update_sample_count(self, now_ns: int) -> None:
-        """Ask the board now and then; an answer that took long is worth less than an older one, for a while."""
+        """Ask the board for its sample count at intervals; while the last answer is fresh, ignore a slow one."""
         age_ns = now_ns - self._sample_count.requested_ns
         if self._next_tick > self._start_tick and age_ns < COUNT_INTERVAL_NS:
             return
@@ -168,10 +168,10 @@ class NidaqSource:
             self._sample_count = SampleCountReading(self._tool.board.sample_rate_hz, now_ns, answered_ns, taken)
 
     def write_command(self, command_v: float) -> AppliedCommand:
-        """Set the motor command, V, and return from which tick on it holds.
+        """Set the motor command, V, and return between which ticks it takes effect.
 
         Raises:
-            RefusedError: the command is beyond the tool's limits or not a number; the motor is at zero.
+            RefusedError: the command is outside the tool's limits or not a number; the motor is at zero.
             ToolError: the board failed.
         """
         allowed = 0.0 <= command_v <= self._tool.limits.max_command_v  # False for NaN, too
@@ -203,7 +203,7 @@ class NidaqSource:
         task.ao_channels.add_ao_voltage_chan(
             self._terminal(self._tool.channels.motor_command), min_val=0.0, max_val=self._tool.limits.max_command_v
         )
-        task.start()  # a started task takes a write without the detour of starting and stopping itself
+        task.start()  # a started task accepts a write without starting and stopping itself each time
         self._motor_writer = AnalogSingleChannelWriter(task.out_stream, auto_start=False)
         self._motor_writer.write_one_sample(0.0, _WRITE_TIMEOUT_S)
 
@@ -221,7 +221,7 @@ class NidaqSource:
         arm.trig_type = TriggerType.DIGITAL_EDGE
         arm.dig_edge_src = "/" + self._terminal("ai/StartTrigger")
         self._encoder_reader = CounterReader(task.in_stream)
-        self._encoder_reader.verify_array_shape = False  # asks the board again at every read
+        self._encoder_reader.verify_array_shape = False  # the check would ask the board again at every read
         return task
 
     def _open_analog(self) -> nidaqmx.Task:
@@ -249,19 +249,19 @@ class NidaqSource:
         return f"{self._tool.board.device}/{name}"
 
     def _close_with_error(self, error: Exception) -> ToolError:
-        """Close with the motor at zero, and put `error` into words."""
+        """Close with the motor at zero; return the error with a text for the user."""
         text, had_motor = _describe_error(error, self._tool), self._motor_writer is not None
         if not self._close():
             return ToolError(f"{text} {_switch_off_text(self._tool)}")
         return ToolError(f"{text} The motor is at zero." if had_motor else text)
 
     def _close(self) -> bool:
-        """Motor to zero, then give the board back; False if the motor could not be commanded to zero."""
+        """Set the motor to zero, then release the board; return False if the motor could not be set to zero."""
         is_zero = self._zero_motor()
         self._motor_writer = None
         tasks, self._tasks = self._tasks, []
         for task in tasks:
-            # With the motor settled, a task that does not close leaves the board reserved: the next start says so.
+            # With the motor settled, a task that does not close leaves the board reserved: the next start reports it.
             with contextlib.suppress(*_BOARD_ERRORS):
                 task.close()
         return is_zero
@@ -272,21 +272,21 @@ class NidaqSource:
         with contextlib.suppress(*_BOARD_ERRORS):
             self._motor_writer.write_one_sample(0.0, _WRITE_TIMEOUT_S)
             return True
-        with contextlib.suppress(ToolError):  # an aborted task takes no more writes, but a reset zeroes as well
+        with contextlib.suppress(ToolError):  # an aborted task accepts no more writes, but a reset sets zero, too
             reset_device(self._tool, self._grpc_options)
             return True
         return False
 
 
 def create_session_options(tool: Tool) -> nidaqmx.GrpcSessionOptions | None:
-    """How the tool's board is reached: through the server that its file names, or (None) the installed driver."""
+    """Return the session options for the server that the tool file names, or None for the installed driver."""
     board = tool.board
     return nidaqmx.GrpcSessionOptions(_open_grpc_channel(board), "") if board.grpc_address else None
 
 
 @functools.cache
 def _open_grpc_channel(board: Board) -> grpc.Channel:
-    """Connected once: whoever has to reset a board has no time for that.
+    """Open the channel, once per board, because a reset of the board has no time to connect.
 
     Raises:
         ToolError: a certificate cannot be read.
@@ -311,7 +311,7 @@ def _read_pem(path: str) -> bytes:
 
 
 def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> None:
-    """Abort whatever runs on the tool's board and put its outputs to 0 V, for when the worker that had it is dead.
+    """Abort all tasks on the tool's board and set its outputs to 0 V, after the worker that used it has died.
 
     Raises:
         ToolError: the board could not be reset; the motor may still be driven.
@@ -323,10 +323,10 @@ def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = N
 
 
 def read_driver_version(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> str:
-    """Find out whether there is a driver at all, before anything else is started; its version.
+    """Return the driver's version; a check that there is a driver, before anything else starts.
 
     Raises:
-        ToolError: there is none.
+        ToolError: there is no driver.
     """
     try:
         options = grpc_options or create_session_options(tool)
@@ -339,17 +339,17 @@ def read_driver_version(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | N
 
 @dataclass(frozen=True, slots=True)
 class BoardInfo:
-    """What a board says of itself; names of channels without the device's."""
+    """A board's description of itself; channel names without the device's name."""
 
     product: str
     analog_inputs: tuple[str, ...]
     analog_outputs: tuple[str, ...]
     counters: tuple[str, ...]
-    input_ranges_v: tuple[float, ...]  # the upper ends
+    input_ranges_v: tuple[float, ...]  # upper ends
 
 
 def read_board_info(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> BoardInfo:
-    """Ask the board; nothing is started.
+    """Return the board's description; nothing is started.
 
     Raises:
         ToolError: there is no such board, or it does not answer.
@@ -364,7 +364,7 @@ def read_board_info(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None 
 
 
 def _describe_error(error: Exception, tool: Tool) -> str:
-    """One sentence on what happened and what to do next."""
+    """Return a sentence on what happened and what to do next."""
     device = tool.board.device
     if isinstance(error, RpcError):
         trust = ", and that `grpc_ca` is the certificate that vouches for it" if tool.board.grpc_ca else ""

@@ -1,4 +1,4 @@
-"""Where raw samples come from: the one interface that the board and the recordings share."""
+"""The interface of sample sources, which boards and recordings share."""
 
 import math
 from dataclasses import dataclass
@@ -14,12 +14,10 @@ from acquisition.drivers.command_history import AppliedCommand
 class RawBlock:
     """Consecutive raw samples as the sensors gave them, each array of shape (n,).
 
-    `first_tick` counts samples since the source was opened, lost ones included, so that a gap is
-    visible as `first_tick` running ahead; `lost_samples` says how many went missing right before.
-    `limiter` holds the limiter's flags of each sample, or of all, and `limit_n` the limit that it enforced meanwhile, N
-    (NaN: none); `run` says which run they belong to, if any.
-    `backlog` counts the samples after these that the board had already taken when these were read: more than a few, and
-    the reader lags.
+    `first_tick` counts samples since the source was opened, lost ones included, so that it jumps at a gap;
+    `lost_samples` counts those lost right before the block. `limiter_flags` holds the limiter's flags of each sample,
+    or of all, and `limit_n` the limit enforced meanwhile, N (NaN: none). `run` names the run, if any. `backlog` counts
+    the later samples that the board had taken before the read: if there are more than a few, the reader lags.
     """
 
     first_tick: int
@@ -42,7 +40,7 @@ class RawBlock:
 class SampleSource(Protocol):
     """A running tool or a recording.
 
-    Entering it opens the device with the motor at zero; leaving it, however that happens, leaves the motor at zero.
+    Entering opens the device with the motor at zero; leaving, also after an error, sets the motor to zero.
     """
 
     def __enter__(self) -> Self: ...
@@ -52,7 +50,7 @@ class SampleSource(Protocol):
     ) -> None: ...
 
     def read_block(self) -> RawBlock | None:
-        """The next block, waiting for it if need be; None at the end of a recording.
+        """Return the next block, waiting for it if necessary; None at the end of a recording.
 
         Raises:
             ToolError: the board failed; the motor has been commanded to zero.
@@ -60,5 +58,5 @@ class SampleSource(Protocol):
         ...
 
     def write_command(self, command_v: float) -> AppliedCommand:
-        """Set the motor command, V, and return from which tick on it holds. A recording ignores it."""
+        """Set the motor command, V, and return between which ticks it takes effect. A recording ignores it."""
         ...

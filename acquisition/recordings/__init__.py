@@ -1,1 +1,1 @@
-"""Recordings: the lab's LabVIEW files and our own MCAP files, played as a source like the board."""
+"""Recordings: the lab's LabVIEW files and Graspwatch's MCAP files, read as a sample source like the board."""

@@ -12,12 +12,12 @@ import numpy as np
 from config.errors import RecordingError
 from config.schema import Tool
 
-HEADER_LINES = 40  # at most, of the first part
+HEADER_LINES = 40  # the first part of the header has at most so many
 END_OF_HEADER = "***End_of_Header***"
-MAX_TIME_STEP_S = 86_400.0  # from one sample to the next: more is a wrong number
-MAX_TEXT_BYTES = 256 * 2**20  # of text, over an hour
+MAX_TIME_STEP_S = 86_400.0  # between two samples; a larger step is a wrong number
+MAX_TEXT_BYTES = 256 * 2**20  # text of more than an hour
 MAX_LINES = 5_000_000  # each takes many times its length in memory
-LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"  # all at which Python splits lines
+LINE_ENDS = "\n\r\v\f\x1c\x1d\x1e\x85\u2028\u2029"  # all characters at which Python splits lines
 ENCODER_COLUMN = "Untitled"  # the lab's name for the counter channel
 
 
@@ -48,8 +48,7 @@ def read_lvm(path: Path, tool: Tool) -> np.ndarray:
 
 
 def read_start_time(path: Path) -> datetime | None:
-    """When a LabVIEW measurement was begun, by that computer's clock, whose zone the file does not say; None if it does
-    not say when.
+    """Return the local time at which a LabVIEW measurement began, or None if the file does not say it.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -94,7 +93,7 @@ def _read_lines(path: Path) -> list[str]:
 
 
 def _decode(path: Path, content: bytes) -> str:
-    """Text in UTF-8, or as LabVIEW on Windows writes it."""
+    """Decode UTF-8, or cp1252 as LabVIEW on Windows writes it."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -106,7 +105,7 @@ def _decode(path: Path, content: bytes) -> str:
 
 
 def _is_truncated(lines: list[str]) -> bool:
-    """Whether the last line has all its columns but its last number fewer decimals than the one above."""
+    """Return whether the last line has all columns, but fewer decimals in its last number than the line above."""
     if len(lines) < 2:
         return False
     above, last = (line.strip().split("\t") for line in lines[-2:])
@@ -114,7 +113,7 @@ def _is_truncated(lines: list[str]) -> bool:
 
 
 def _find_column_names(path: Path, lines: list[str]) -> int:
-    """Index of the line with the column names: the one after the second end of header."""
+    """Return the index of the line with the column names, the one after the second end of header."""
     if not lines[0].startswith("LabVIEW Measurement"):
         raise RecordingError(f"{path}, line 1: expected 'LabVIEW Measurement', found {lines[0][:40]!r}.")
     ends = [i for i, line in enumerate(lines) if line.startswith(END_OF_HEADER)]
@@ -131,7 +130,7 @@ def _find_column_names(path: Path, lines: list[str]) -> int:
 
 
 def _find_columns(path: Path, headings: str, line: int, tool: Tool) -> list[int]:
-    """Column indices in the order time, strain, command, touch 1, touch 2, encoder."""
+    """Return the column indices in the order time, strain, command, touch 1, touch 2, encoder."""
     names = headings.split("\t")
     channels, device = tool.channels, tool.board.device
     analog = [channels.strain, channels.motor_command_readback, *channels.touch]
@@ -166,7 +165,7 @@ def _describe_first_bad_line(path: Path, lines: list[str], headings_at: int, col
 
 
 def _check_time(path: Path, time_s: np.ndarray, line_numbers: list[int], rate_hz: float) -> None:
-    """Time must advance by whole samples; a forward jump is a gap (kept, counted), anything else is an error."""
+    """Check that time advances by whole samples. A forward jump is a gap and allowed; anything else is an error."""
     with np.errstate(over="ignore"):
         steps = np.diff(time_s) * rate_hz
     usual = float(np.median(steps)) if len(steps) else 1.0

@@ -1,4 +1,4 @@
-"""What is packed in a chunk of an MCAP file, which must not become many times what the file itself takes."""
+"""Decompression of MCAP chunks, bounded so that a small file cannot fill the memory."""
 
 import zlib
 
@@ -6,16 +6,17 @@ import lz4.frame
 import zstandard
 from mcap.records import Chunk
 
-MAX_CHUNK_BYTES = 64 * 2**20  # a chunk of ours has less than one
-MAX_COMPRESSION_RATIO = 200  # a chunk of ours is packed to an eighth
+MAX_CHUNK_BYTES = 64 * 2**20  # less than 1 MiB in chunks of Graspwatch
+MAX_COMPRESSION_RATIO = 200  # about 8 in chunks of Graspwatch
 ALWAYS_ALLOWED_BYTES = 2**20
 
 
 def decompress_chunk(chunk: Chunk) -> bytes:
-    """
+    """Return the chunk's uncompressed content.
+
     Raises:
-        ValueError: it is damaged, packed in an unknown way, or would be far too large.
-        ZstdError: it is damaged.
+        ValueError: the chunk is damaged, has an unknown compression, or would be too large.
+        ZstdError: the chunk is damaged.
     """
     most = min(MAX_CHUNK_BYTES, max(ALWAYS_ALLOWED_BYTES, MAX_COMPRESSION_RATIO * len(chunk.data)))
     if chunk.uncompressed_size > most:
@@ -31,7 +32,7 @@ def decompress_chunk(chunk: Chunk) -> bytes:
 def _decompress(chunk: Chunk, most: int) -> bytes:
     match chunk.compression:
         case "zstd":
-            if zstandard.frame_content_size(chunk.data) > most:  # else it would be believed, whatever the chunk says
+            if zstandard.frame_content_size(chunk.data) > most:  # it would override the limit on the output
                 raise ValueError(f"{len(chunk.data)} bytes become more than {most}")
             return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=max(chunk.uncompressed_size, 1))
         case "lz4":

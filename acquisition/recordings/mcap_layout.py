@@ -1,4 +1,4 @@
-"""What stands in an MCAP file of ours, beside its samples: topics, columns, version, the names of what is attached."""
+"""Layout of Graspwatch's MCAP files: topics, columns, format version, names of attachments and metadata."""
 
 import math
 from collections.abc import Mapping
@@ -10,8 +10,10 @@ from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
 
 PROFILE = "graspwatch"
 FORMAT_VERSION = 1
-METADATA_NAME = "graspwatch"  # the metadata record that says what was recorded
-END_METADATA_NAME = "graspwatch_end"  # the one that says how it ended; a file that was cut off has none
+METADATA_NAME = "graspwatch"  # the metadata record that describes the run
+END_METADATA_NAME = (
+    "graspwatch_end"  # the metadata record that describes the run's end; a file that was cut off has none
+)
 TOOL_ATTACHMENT, LIBRARY_ATTACHMENT, SETTINGS_ATTACHMENT, PROTOCOL_ATTACHMENT, VERSIONS_METADATA_NAME = (
     "tool.json",
     "library.json",
@@ -23,10 +25,9 @@ TOOL_ATTACHMENT, LIBRARY_ATTACHMENT, SETTINGS_ATTACHMENT, PROTOCOL_ATTACHMENT, V
 RAW_TOPIC, CONDITIONED_TOPIC, ESTIMATES_TOPIC = "/raw", "/conditioned", "/estimates"
 
 SIGNAL_COLUMNS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
-LIMITER_FLAGS = (
-    SampleFlag.LIMITED | SampleFlag.RELEASED
-)  # what the acquisition's limiter did is no function of the signals
-LIMIT_COLUMN = "limit_n"  # nor is what it enforced; files of older versions do not say it
+# Not a function of the signals, so they are recorded.
+LIMITER_FLAGS = SampleFlag.LIMITED | SampleFlag.RELEASED
+LIMIT_COLUMN = "limit_n"  # as the flags, no function of the signals; files of older versions lack it
 
 RAW_LAYOUT = RowLayout(
     "Raw",
@@ -46,7 +47,7 @@ CONDITIONED_LAYOUT = RowLayout(
 
 
 def raw_columns(block: SampleBlock) -> dict[str, np.ndarray]:
-    """The columns of `RAW_ROWS`; what was lost was lost before the block's first sample."""
+    """Return the columns of `RAW_LAYOUT`; the first row counts the samples lost before the block."""
     samples = block.samples
     lost_samples = np.zeros(len(samples), "u4")
     lost_samples[0] = block.lost_samples
@@ -56,12 +57,12 @@ def raw_columns(block: SampleBlock) -> dict[str, np.ndarray]:
 
 
 def conditioned_columns(block: SampleBlock) -> Mapping[str, np.ndarray]:
-    """The columns of `CONDITIONED_ROWS`."""
+    """Return the columns of `CONDITIONED_LAYOUT`."""
     return {name: block.samples[name] for name in CONDITIONED_COLUMNS}
 
 
 def from_columns(raw: Mapping[str, np.ndarray], conditioned: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The samples, dtype SAMPLE, that both kinds of rows were made of; no limit where the rows do not say it."""
+    """Return samples of dtype SAMPLE_DTYPE from both kinds of rows; the limit is NaN where the rows lack it."""
     samples = np.empty(len(raw["tick"]), SAMPLE_DTYPE)
     for name in SIGNAL_COLUMNS:
         samples[name] = raw[name]

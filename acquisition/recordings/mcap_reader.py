@@ -1,6 +1,6 @@
-"""Reads an MCAP file of ours, whole or cut off: what it is about, what is attached, rows of numbers, messages.
+"""Reader of Graspwatch's MCAP files, whole or cut off: metadata, attachments, rows of numbers, JSON messages.
 
-The records are read by the `mcap` package; the rows inside a chunk, which are many and of one length, by numpy.
+The `mcap` package reads the records; numpy reads the many rows of equal length inside a chunk.
 """
 
 import struct
@@ -25,7 +25,7 @@ from acquisition.recordings.protobuf_rows import RowLayout
 from config.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
-RECORD_LIMIT_BYTES = 256 * 2**20  # a record of ours has a few; a damaged length must not ask for all memory
+RECORD_LIMIT_BYTES = 256 * 2**20  # records of Graspwatch have a few MiB; a damaged length must not allocate all memory
 MESSAGE_HEADER_DTYPE = np.dtype(
     [
         ("opcode", "u1"),
@@ -49,7 +49,7 @@ COPY_AGAIN_TEXT = "Copy it again from where it was recorded."
 
 @dataclass(frozen=True, slots=True)
 class RowBlock:
-    """Consecutive rows of one topic: columns of shape (n,) by their path, the number of each row's block, its time."""
+    """Consecutive rows of one topic: columns of shape (n,) by their path, each row's block number and times."""
 
     topic: str
     columns: dict[str, np.ndarray]
@@ -72,11 +72,11 @@ class JsonMessage:
 
 @dataclass(slots=True)
 class _ChannelRegistry:
-    """What was declared so far: a file declares everything before it uses it."""
+    """Schemas and channels declared so far; a file declares everything before it uses it."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     topics: dict[int, str] = field(default_factory=dict)
-    layouts: dict[int, RowLayout] = field(default_factory=dict)  # by channel; a channel of JSON has none
+    layouts: dict[int, RowLayout] = field(default_factory=dict)  # by channel; a JSON channel has none
 
     def declare(self, record: Schema | Channel) -> None:
         if isinstance(record, Schema):
@@ -89,12 +89,13 @@ class _ChannelRegistry:
 
 
 class McapFile:
-    """An MCAP file of ours. `about` and `attachments` are read at once, everything else when it is asked for."""
+    """One MCAP file of Graspwatch. Opening it reads `metadata` and `attachments`; methods read the rest."""
 
     def __init__(self, path: Path) -> None:
-        """
+        """Open and check the file.
+
         Raises:
-            RecordingError: it cannot be read, is no MCAP file, not one of ours, or of a later format.
+            RecordingError: the file cannot be read, is no MCAP file, not one of Graspwatch, or of a later format.
         """
         self.path = path
         self.metadata: dict[str, str] = {}
@@ -130,7 +131,7 @@ class McapFile:
             raise RecordingError(f"{self.path}: holds no description of what was recorded. {COPY_AGAIN_TEXT}")
 
     def _read_end(self) -> bool:
-        """Take the summary; False where the file was cut off before it was written."""
+        """Read the summary; return False if the file was cut off before its summary."""
         try:
             with self.path.open("rb") as file:
                 file.seek(-len(MAGIC), 2)
@@ -168,10 +169,10 @@ class McapFile:
             self.end_metadata = record.metadata
 
     def iter_records(self) -> Iterator[McapRecord]:
-        """All records in their order, to the file's end or to where it was cut off.
+        """Yield all records in their order, to the file's end or to where it was cut off.
 
         Raises:
-            RecordingError: the file is damaged; names the place.
+            RecordingError: the file is damaged; the text names the place.
         """
         try:
             with self.path.open("rb") as file:
@@ -188,10 +189,10 @@ class McapFile:
             raise RecordingError(f"{self.path}: is damaged ({error}). {COPY_AGAIN_TEXT}") from None
 
     def iter_content(self, *topics: str) -> Iterator[RowBlock | JsonMessage]:
-        """What stands in the file under these topics, in the order in which it was written, of every whole chunk.
+        """Yield the content of all whole chunks under these topics, in the order in which it was written.
 
         Raises:
-            RecordingError: the file is damaged; names the place.
+            RecordingError: the file is damaged; the text names the place.
         """
         wanted = set(topics)
         channels = _ChannelRegistry()
@@ -204,10 +205,10 @@ class McapFile:
                 ) from None
 
     def read_rows(self, topic: str) -> RowBlock:
-        """All rows of one topic.
+        """Return all rows of one topic.
 
         Raises:
-            RecordingError: the file is damaged, or holds none.
+            RecordingError: the file is damaged, or has no rows of the topic.
         """
         pieces = [piece for piece in self.iter_content(topic) if isinstance(piece, RowBlock)]
         if not pieces:
@@ -216,9 +217,9 @@ class McapFile:
 
 
 def _iter_records(file: BinaryIO) -> Iterator[McapRecord]:
-    """The records from here on that are of any use, to the footer or to where the file was cut off.
+    """Yield the records of `_READ_RECORD_TYPES`, to the footer or to where the file was cut off.
 
-    The package's own reader takes the message indexes apart, too, number by number: half of the time of a replay.
+    The `mcap` package's reader also parses the message indexes, which took half of the time of a replay.
     """
     while len(head := file.read(9)) == 9:
         opcode, length = struct.unpack("<BQ", head)
@@ -236,14 +237,14 @@ def _iter_records(file: BinaryIO) -> Iterator[McapRecord]:
 
 
 def concatenate_rows(pieces: list[RowBlock]) -> RowBlock:
-    """Rows of one topic, one after the other."""
+    """Return the rows of all pieces, which have one topic, in one block."""
     columns = {name: np.concatenate([each.columns[name] for each in pieces]) for name in pieces[0].columns}
     others = [np.concatenate([getattr(each, name) for each in pieces]) for name in ("sequence", "log_ns", "publish_ns")]
     return RowBlock(pieces[0].topic, columns, *others)
 
 
 def _iter_chunk_content(data: bytes, channels: _ChannelRegistry, wanted: set[str]) -> Iterator[RowBlock | JsonMessage]:
-    """The wanted content of a chunk; declarations in it are noted."""
+    """Yield a chunk's content under the wanted topics, and add its declarations to `channels`."""
     at, head_bytes = 0, MESSAGE_HEADER_DTYPE.itemsize
     while at < len(data):
         opcode, length = struct.unpack_from("<BQ", data, at)
@@ -278,5 +279,5 @@ def _iter_chunk_content(data: bytes, channels: _ChannelRegistry, wanted: set[str
 
 
 def _message_dtype(layout: RowLayout) -> np.dtype:
-    """A message record: its head and a row."""
+    """Return the dtype of a message record: its header and a row."""
     return np.dtype([("head", MESSAGE_HEADER_DTYPE), ("row", f"V{layout.row_bytes}")])

@@ -1,8 +1,8 @@
 """Rows of numbers as protobuf messages of a fixed layout.
 
-Every field of a message is fixed in width and always written, so that all messages of a channel have the same length
-and numpy encodes and decodes thousands at a time; to a protobuf reader they are messages like any other.
-Encoding: https://protobuf.dev/programming-guides/encoding/
+Every field has a fixed width and is always written. So all messages of a channel have the same length, and numpy
+encodes and decodes thousands at a time. Any protobuf reader can read them. Encoding:
+https://protobuf.dev/programming-guides/encoding/
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ Columns = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One number of a row; `kind` is `f8`, `i8` or `u4`. With `group`, it stands in a message of that name inside."""
+    """One number of a row, of type `f8`, `i8` or `u4`. With `group`, it is in a nested message of that name."""
 
     name: str
     type_code: str = "f8"
@@ -39,10 +39,10 @@ class Column:
 
 
 class RowLayout:
-    """A kind of row: its columns, its protobuf schema, and how both lie in memory."""
+    """Layout of a kind of row: its columns, its protobuf schema and its dtype in memory."""
 
     def __init__(self, name: str, columns: Sequence[Column]) -> None:
-        """`columns` of one group stand together; names are identifiers."""
+        """Columns of one group are adjacent; names are identifiers."""
         self.name, self.columns = name, tuple(columns)
         file = FileDescriptorProto(name=f"{PACKAGE}/{name.lower()}.proto", package=PACKAGE, syntax="proto3")
         message = file.message_type.add(name=name)
@@ -52,10 +52,10 @@ class RowLayout:
 
     @classmethod
     def from_schema(cls, name: str, descriptor_set: bytes) -> Self:
-        """The layout of messages that were written with this schema.
+        """Return the layout of messages that were written with this schema.
 
         Raises:
-            ValueError: it is not the schema of such rows.
+            ValueError: the schema is not one of rows of fixed layout.
         """
         message = FileDescriptorSet.FromString(descriptor_set).file[0].message_type[0]
         inner = {nested.name: nested for nested in message.nested_type}
@@ -80,17 +80,17 @@ class RowLayout:
         return self._dtype.itemsize
 
     def encode(self, columns: Columns) -> bytes:
-        """Rows one after the other, `row_bytes` each, of arrays of shape (n,) by `Column.path`."""
+        """Encode arrays of shape (n,) by `Column.path` as consecutive rows of `row_bytes` each."""
         rows = np.full(len(next(iter(columns.values()))), self._template)
         for column in self.columns:
             rows[column.path] = columns[column.path]
         return rows.tobytes()
 
     def decode(self, data: bytes) -> dict[str, np.ndarray]:
-        """Arrays of shape (n,) by `Column.path`.
+        """Decode rows to arrays of shape (n,) by `Column.path`.
 
         Raises:
-            ValueError: these are not rows of this layout.
+            ValueError: the data are not rows of this layout.
         """
         rows = np.frombuffer(data, self._dtype)
         for name in self._dtype.names or ():
@@ -100,7 +100,7 @@ class RowLayout:
 
 
 def _build_layout(columns: tuple[Column, ...], message: DescriptorProto) -> tuple[np.dtype, np.ndarray]:
-    """How a row lies in memory, and one with all tags and no values; fills the schema of `message`."""
+    """Return the dtype of a row and a row with all tags and zero values; add the fields to `message`."""
     fields: list[tuple[str, str]] = []
     template = b""
     groups: dict[str, DescriptorProto] = {}
@@ -126,7 +126,7 @@ def _build_layout(columns: tuple[Column, ...], message: DescriptorProto) -> tupl
 
 
 def _declare_submessage(message: DescriptorProto, group: str, size: int) -> bytes:
-    """Declare a message inside `message`; returns its tag and length."""
+    """Declare a message inside `message`; return its tag and length."""
     kind = "".join(part.capitalize() for part in group.split("_"))
     message.nested_type.add(name=kind)
     number = len(message.field) + 1

@@ -1,4 +1,4 @@
-"""A recording as a source: its raw samples, block by block, as the board gave them."""
+"""A recording as a sample source: its raw samples, block by block, as the board gave them."""
 
 import time
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from config.errors import RecordingError
 from config.schema import Tool
 
 BLOCK_SAMPLES = 100
-STEP_SAMPLES = 5  # whoever follows works in steps that end at ticks that are multiples of this, and at a block's end
+STEP_SAMPLES = 5  # later stages work in steps that end at ticks that are multiples of this, and at a block's end
 
 
 @dataclass(frozen=True, slots=True)
 class _RecordedSamples:
-    """Raw samples. Ticks count from the recording's first sample.
+    """Raw samples of a recording; ticks count from its first sample.
 
-    `signals`: of shape (5, n), in the order of SIGNALS; `limiter`: the limiter's flags, (n,); `limit_n`: what it
-    enforced, (n,), NaN where that is not recorded; `ends`: rows behind which
-    a block ended where nothing else tells it; `runs`: for each row at which a run begins, which.
+    `signals` has shape (5, n), in the order of SIGNAL_COLUMNS; `limiter_flags` and `limit_n` (N, NaN where not
+    recorded) have shape (n,). `block_ends` are rows behind which a block ended at no multiple of STEP_SAMPLES.
+    `run_ids_by_row` holds the run that begins at a row.
     """
 
     ticks: np.ndarray
@@ -39,19 +39,20 @@ class _RecordedSamples:
 
 
 class RecordingSource:
-    """A recording of either kind; `speed` 1 plays it in real time, None as fast as it is read.
+    """A LabVIEW or MCAP recording as a sample source; `speed` 1 plays it in real time, None unthrottled.
 
-    `tool` is the one it was recorded with: it stands in an MCAP file, and is named by the caller for LabVIEW's.
+    An MCAP file holds the tool that it was recorded with; for a LabVIEW file, the caller passes it as `tool`.
     """
 
     def __init__(self, path: Path, tool: Tool, speed: float | None = None) -> None:
-        """
+        """Open and read the recording.
+
         Raises:
-            RecordingError: the file cannot be read, or is no recording; names the place.
+            RecordingError: the file cannot be read, or is no recording; the text names the place.
         """
         self.path = path
         self.mcap_file = McapFile(path) if is_mcap(path) else None
-        self.first_tick = 0  # of an MCAP file: what its own ticks count from
+        self.first_tick = 0  # tick in an MCAP file that counts as 0 here
         self.tool = tool if self.mcap_file is None else read_recorded_tool(self.mcap_file)
         self._recorded = self._read()
         self._rate_hz = self.tool.board.sample_rate_hz
@@ -103,7 +104,7 @@ class RecordingSource:
 
     @property
     def sample_count(self) -> int:
-        """How many there are to come, or have come."""
+        """Number of samples without those skipped."""
         return len(self._recorded.ticks) - self._skipped_rows
 
     @property
@@ -111,11 +112,11 @@ class RecordingSource:
         return float(self._recorded.ticks[-1] + 1) / self._rate_hz
 
     def skip_to_run(self) -> None:
-        """Leave out what was recorded before the run: of it alone its estimates are made."""
+        """Skip the samples before the run, because its estimates depend on its own samples alone."""
         self._row = self._skipped_rows = min(self._recorded.run_ids_by_row, default=0)
 
     def read_block(self) -> RawBlock | None:
-        """The next samples up to a gap or the beginning of a run; None at the end."""
+        """Return the next samples up to a gap or the beginning of a run; None at the end."""
         recorded, at = self._recorded, self._row
         if at >= len(recorded.ticks):
             return None
@@ -140,7 +141,7 @@ class RecordingSource:
         )
 
     def _find_block_end(self, at: int) -> int:
-        """Row behind the block that begins at this row; blocks end where steps do."""
+        """Return the row behind the block that begins at this row; blocks end where steps do."""
         recorded = self._recorded
         end = min(at + self._block_samples, len(recorded.ticks))
         if end < len(recorded.ticks):
@@ -150,15 +151,15 @@ class RecordingSource:
         return min([end, *stops])
 
     def write_command(self, command_v: float) -> AppliedCommand:
-        """A recording's motor has long stopped."""
+        """Ignore the command: a recording has no motor."""
         return AppliedCommand(0.0, 0, 0)
 
 
 def read_recorded_tool(container: McapFile) -> Tool:
-    """The tool that a file was recorded with.
+    """Return the tool that a file was recorded with.
 
     Raises:
-        RecordingError: the file does not hold it, or not as this version describes tools.
+        RecordingError: the file holds no tool, or one that this version cannot read.
     """
     try:
         return Tool.model_validate_json(container.attachments[TOOL_ATTACHMENT])
@@ -168,7 +169,7 @@ def read_recorded_tool(container: McapFile) -> Tool:
 
 
 def is_mcap(path: Path) -> bool:
-    """By its beginning, or by its name where it has none."""
+    """Return whether the file begins with the MCAP magic bytes, or has the suffix `.mcap`."""
     try:
         with path.open("rb") as file:
             start = file.read(len(MAGIC))

@@ -1,1 +1,1 @@
-"""What stops the motor."""
+"""Safety functions that limit or stop the motor."""

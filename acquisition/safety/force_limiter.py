@@ -1,4 +1,4 @@
-"""What stops the motor, and what holds it back, judged at every block from unfiltered force; nobody is waited for."""
+"""Force limiter and stop conditions of the motor, computed at every block from the unfiltered force."""
 
 import math
 from collections import deque
@@ -13,31 +13,28 @@ from config.schema import LimiterSettings, TissueLibrary, Tool
 INVALID, SATURATED, IN_GRASP = SampleFlag.INVALID.value, SampleFlag.SATURATED.value, SampleFlag.IN_GRASP.value
 LIMITED, RELEASED = SampleFlag.LIMITED.value, SampleFlag.RELEASED.value
 
-LAG_TIME_CONSTANT_S = (
-    0.009  # each of two lags in a row from command to force: 8 ms of drive, 10 ms of cable and tissue in simulation
-)
-GAIN_INCREASE_TIME_CONSTANT_S = 0.003  # how fast more force than the map tells is believed: most of it within a block
-GAIN_DECREASE_TIME_CONSTANT_S = 0.2  # and less force: slowly, for it may only be late
-RATIO_REGULARIZATION_SHARE = (
-    0.08  # of the limit, that is added to both forces before they are compared: small ones are all noise
-)
-LIMIT_RISE_N_PER_S = 10.0  # a limit that rises is followed so fast: in the 25 ms until an error is felt, 0.25 N at most
-THRESHOLD_SETTLING_S = (
-    0.1  # that the force gets to follow a threshold that falls, five times what drive and tissue take; and that
-)
-# one that rises has to hold before it is followed: answers that come too late now and then do not shake the motor
+# The command reaches the force through two such lags. In simulation: 8 ms of drive, 10 ms of cable and tissue.
+LAG_TIME_CONSTANT_S = 0.009
+GAIN_INCREASE_TIME_CONSTANT_S = 0.003  # a higher gain ratio is followed mostly within a block
+GAIN_DECREASE_TIME_CONSTANT_S = 0.2  # a lower one slowly, because the force may only be late
+# Share of the limit, added to both forces before their ratio is taken, because small forces are mostly noise.
+RATIO_REGULARIZATION_SHARE = 0.08
+LIMIT_RISE_N_PER_S = 10.0  # rise of the limit: 0.25 N at most in the 25 ms until an error shows in the force
+# Time that the force gets to follow a falling threshold: five times the lags of drive and tissue. A rising threshold
+# must hold for as long before it is followed, so that late answers do not shake the motor.
+THRESHOLD_SETTLING_S = 0.1
 ROUNDING_TOLERANCE = 1e-9
-SETPOINT_SHARE = 0.93  # of the limit: noise, friction of the cable and a gage that reads 3 % short stay below it
-RELEASE_SHARE = 1.05  # of the limit: the grasp is let go
-MIN_LIMITED_COMMAND_V = 0.05  # a grasp that is held back goes on: at 0 V the jaws would open
+SETPOINT_SHARE = 0.93  # of the limit: noise, cable friction and a gage that reads 3 % low stay below the limit
+RELEASE_SHARE = 1.05  # of the limit: a force over it releases the grasp
+MIN_LIMITED_COMMAND_V = 0.05  # a limited grasp goes on: at 0 V the jaws would open
 
 
 def find_stop_reason(tool: Tool, samples: np.ndarray) -> str | None:
-    """Why the motor must not go on after these samples, or None.
+    """Return why the motor must stop after these samples, or None.
 
-    The upper end of the force scale decides whether the ceiling is reached. The mean of a block is judged, so that one
-    spike of the strain gage does not end a grasp; a force that cannot be known (strain gage saturated, jaws in a grasp
-    outside the domain of Eqs. (1) to (6)) counts as too large.
+    The force is compared with the ceiling in the newtons of the force scale's upper end. The mean of a block counts, so
+    that one spike of the strain gage does not end a grasp. A force that cannot be known counts as too large: the strain
+    gage is saturated, or jaws in a grasp are outside the domain of Eqs. (1) to (6).
     """
     flags, force_n, ceiling_n = (
         samples["flags"],
@@ -59,26 +56,26 @@ def find_stop_reason(tool: Tool, samples: np.ndarray) -> str | None:
 
 
 def compute_max_next_command(command_v: float, tool: Tool) -> float:
-    """The highest command that may follow a block under `command_v`, V: the tool's bound on how fast it rises."""
+    """Return the highest command, V, that may follow a block under `command_v`, by the tool's limit on its rise."""
     block_s = tool.board.block_samples / tool.board.sample_rate_hz
     return command_v + tool.limits.max_command_v_per_s * block_s * (1 + ROUNDING_TOLERANCE)
 
 
 class ActiveThreshold:
-    """The injury threshold that counts, N: the one told of the grasp under way while it is fresh, else the lowest."""
+    """The injury threshold in force, N: the reported one while it is fresh and of this grasp, else the lowest."""
 
     def __init__(self, thresholds_n: Collection[float], expires_ticks: int) -> None:
-        """`thresholds_n`: those of the library's tissues, in the newtons that the tool shows."""
+        """The injury threshold in force, N: the reported one while it is fresh and of this grasp, else the lowest."""
         self._lowest_n, self._highest_n = min(thresholds_n), max(thresholds_n)
         self._expires_ticks = expires_ticks
         self._reported_n, self._reported_tick = self._lowest_n, -1
 
     def update(self, threshold_n: float, tick: int) -> None:
-        """What the samples up to `tick` say. A number that no tissue of the library can have is not followed."""
+        """Store the threshold reported for sample `tick`; `value_at` ignores one outside the library's range."""
         self._reported_n, self._reported_tick = threshold_n, tick
 
     def value_at(self, tick: int, grasp_start_tick: int) -> float:
-        """At a sample of the grasp that began at `grasp_start_tick`."""
+        """Return the threshold at sample `tick` of the grasp that began at `grasp_start_tick`."""
         is_fresh = grasp_start_tick <= self._reported_tick <= tick <= self._reported_tick + self._expires_ticks
         return (
             self._reported_n if is_fresh and self._lowest_n <= self._reported_n <= self._highest_n else self._lowest_n
@@ -86,18 +83,17 @@ class ActiveThreshold:
 
 
 class ForceLimiter:
-    """Lowers the command that a protocol asks for, so that the jaw force settles under the limit: a share of the
-    threshold.
+    """Limiter that lowers a protocol's command so that the jaw force settles under the limit, a share of the threshold.
 
-    The tool's map from command to force tells, through the drive's lag, what force the commands so far should have come
-    to by now. The force felt in proportion to that is how strong the tool is, and so tells what the next command would
-    come to: commands still on their way are counted, and a map that is wrong is soon put right. Where the
-    drive by itself is beyond the limit already, the command drops below what holds, until it is not.
+    From the commands so far, the tool's map and the drive's lag predict the force. The ratio of measured to predicted
+    force is the gain ratio, which says how strong the tool is. With it the limiter predicts the force of the next
+    command. So it accounts for commands that have not taken effect yet, and soon corrects a wrong map. If the drive
+    alone already exceeds the limit, the command drops below the settling one until it does not.
 
-    All forces are those that the tool shows; thresholds are brought to them with the upper end of the force scale.
+    All forces are those that the tool shows; the upper end of the force scale converts thresholds to them.
 
-    Where the force passes the limit by more than noise does, or stays over it, all the same, the grasp is let go: the
-    command stays at zero until the protocol asks for zero, too.
+    If the force passes the limit by more than noise, or stays over it, the limiter releases the grasp. Then the command
+    stays at zero until the protocol asks for zero, too.
     """
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: LimiterSettings) -> None:
@@ -110,41 +106,39 @@ class ForceLimiter:
         self._threshold = ActiveThreshold(thresholds_n, round(settings.limit_expires_s * rate_hz))
         self._recent_thresholds_n: deque[float] = deque(
             maxlen=1 + round(THRESHOLD_SETTLING_S / self._block_s)
-        )  # thresholds, by block
+        )  # one a block
         self._lowest_limit_n = self._limit_n = settings.margin * min(thresholds_n)
         self._predictor = ForcePredictor(tool)
-        self._gain_ratio = 1.0  # of the tool, in proportion to its map
-        self._initial_gain_ratio = (
-            1.0  # a grasp that had to be let go teaches the following ones how strong the tool is
-        )
+        self._gain_ratio = 1.0  # measured force in proportion to the map's
+        # Gain ratio with which the next grasp begins, learned from the last one.
+        self._initial_gain_ratio = 1.0
         self._gain_increase_weight = -math.expm1(-self._block_s / GAIN_INCREASE_TIME_CONSTANT_S)
         self._gain_decrease_weight = -math.expm1(-self._block_s / GAIN_DECREASE_TIME_CONSTANT_S)
         self._in_grasp = self._made_contact = False  # whether a grasp is under way, and has met tissue
-        self._blocks_over_limit = 0  # in a row whose force was over the limit
+        self._blocks_over_limit = 0  # consecutive blocks with a force over the limit
         self._command_v = 0.0
-        self.release_reason: str | None = (
-            None  # not None: the command stays at zero until the protocol asks for that, too
-        )
+        # If not None, the command stays at zero until the protocol asks for zero, too.
+        self.release_reason: str | None = None
 
     @property
     def limit_n(self) -> float:
-        """The limit under which the force is held from the last judgement to the next, N."""
+        """The limit enforced since the last call of `limit_command`, N."""
         return self._limit_n
 
     def reset_limit(self) -> None:
-        """No protocol plays: the next one begins under the lowest limit."""
+        """Reset the limit to the lowest, under which the next protocol begins."""
         self._limit_n = self._lowest_limit_n
 
     def set_threshold(self, threshold_n: float, tick: int) -> None:
-        """The injury threshold, N, that the samples up to `tick` speak for; it counts until it expires."""
+        """Set the injury threshold in force, N, as known at sample `tick`; it counts until it expires."""
         self._threshold.update(threshold_n, tick)
 
     def limit_command(self, samples: np.ndarray, applied_v: list[float], requested_v: float) -> tuple[float, int]:
-        """The command to write after a block where the protocol asks for `wanted_v`, V, and the flags that go with it.
+        """Return the command to write after a block, V, and its flags.
 
-        `samples` (dtype SAMPLE) are those since the last call, and `commands_v` the commands under which they were
-        taken, V. Flags: HELD_BACK where the command is lower than wanted, LET_GO where it is zero because the force was
-        over the limit.
+        `samples` (dtype SAMPLE_DTYPE) are those since the last call, `applied_v` the commands under which they were
+        taken, V. The protocol asks for `requested_v`, V. Flags: LIMITED if the command is lower than requested, and
+        RELEASED if it is zero because the force was over the limit.
         """
         last = samples[-1]
         threshold_n = self._threshold.value_at(int(last["tick"]), int(last["grasp_start_tick"]))
@@ -180,7 +174,7 @@ class ForceLimiter:
         return (self._store_command(most_v), LIMITED) if most_v < requested_v else (self._store_command(requested_v), 0)
 
     def _compute_max_command_v(self, gain_ratio: float, regularization_n: float) -> float:
-        """The command that comes to the aim in the end, or what slows a drive down that is beyond the limit by now."""
+        """Return the command that settles at the setpoint, V; less while the drive's force exceeds the limit."""
         aim_n = SETPOINT_SHARE * self._limit_n + regularization_n
         by_map_n = aim_n / self._gain_ratio - regularization_n
         if gain_ratio * (self._predictor.actuator_force_n + regularization_n) - regularization_n > self._limit_n:
@@ -188,7 +182,7 @@ class ForceLimiter:
         return max(float(self._command_to_force.to_command_v(max(by_map_n, 0.0))), MIN_LIMITED_COMMAND_V)
 
     def _release_if_over_limit(self, force_n: float) -> None:
-        """Where the force passes the limit all the same, or does not come under it."""
+        """Release the grasp if the force passes the limit by too much or stays over it for too long."""
         most_n = max(self._recent_thresholds_n)
         limit_n = self._margin * most_n
         self._blocks_over_limit = self._blocks_over_limit + 1 if force_n > limit_n else 0
@@ -204,7 +198,7 @@ class ForceLimiter:
             self._initial_gain_ratio = max(self._gain_ratio, 1.0)
 
     def _learn_gain_ratio(self) -> None:
-        """What the grasp that is over says of the next one; without contact it says nothing, and a doubt is halved."""
+        """Keep the finished grasp's gain ratio for the next one; without contact, halve its excess over 1."""
         if self._in_grasp and self.release_reason is None:
             learned = max(self._gain_ratio, 1.0)
             self._initial_gain_ratio = learned if self._made_contact else 0.5 * (learned + 1.0)
@@ -215,7 +209,7 @@ class ForceLimiter:
         return command_v
 
     def _update_gain_ratio(self, measured_ratio: float, *, in_contact: bool) -> None:
-        """Follow how strong the tool is. Without contact there is no force yet, which says nothing of the map."""
+        """Follow the gain ratio. A low ratio without contact says nothing of the map, because there is no force yet."""
         if measured_ratio > self._gain_ratio:
             self._gain_ratio += (measured_ratio - self._gain_ratio) * self._gain_increase_weight
         elif in_contact:
@@ -223,22 +217,21 @@ class ForceLimiter:
 
 
 class ForcePredictor:
-    """What the commands should have come to by now, according to the map and through two lags: drive, then tissue."""
+    """Prediction of the force of the commands so far: the map, then two lags in series, drive and tissue."""
 
     def __init__(self, tool: Tool) -> None:
-        self._sample_weight = -math.expm1(
-            -1.0 / (tool.board.sample_rate_hz * LAG_TIME_CONSTANT_S)
-        )  # of a lag, in one sample
+        # Weights of a lag's update in one sample and in one block.
+        self._sample_weight = -math.expm1(-1.0 / (tool.board.sample_rate_hz * LAG_TIME_CONSTANT_S))
         self._block_weight = -math.expm1(-tool.board.block_samples / (tool.board.sample_rate_hz * LAG_TIME_CONSTANT_S))
         self._command_to_force = tool.command_to_force
-        self._command_v, self._commanded_force_n = 0.0, 0.0  # the command that was on last, and what it asks for
+        self._command_v, self._commanded_force_n = 0.0, 0.0  # last command, and its force by the map
         self.actuator_force_n, self._measured_force_n = 0.0, 0.0  # after the first lag and after both
         self._contact_tick = -1
 
     def predict_block_middle(self, first_tick: int, commands_v: list[float], contact_tick: int) -> float:
-        """Follow a block taken under these commands, V; returns the force, N, at its middle.
+        """Follow a block taken under these commands, V; return the predicted force at its middle, N.
 
-        Jaws that came freely begin at no force when they touch, at `contact_tick`; until then it is -1.
+        Jaws that closed freely begin at zero force at `contact_tick`, which is -1 before contact.
         """
         if contact_tick >= 0 and contact_tick != self._contact_tick:
             self._measured_force_n = self.actuator_force_n * (
@@ -260,11 +253,11 @@ class ForcePredictor:
         return middle_n
 
     def compute_required_force_n(self, target_force_n: float) -> float:
-        """What has to be asked for, so that the drive comes to a force within a block; may be less than nothing."""
+        """Return the force to command, N, so that the drive reaches the target in a block; may be negative."""
         return self.actuator_force_n + (target_force_n - self.actuator_force_n) / self._block_weight
 
 
 def compute_finite_median(values: list[float]) -> float | None:
-    """The median of the known forces of a block, N, which a single spike does not move; None where none is known."""
+    """Return the median of a block's finite values, which a single spike does not move; None without one."""
     known = sorted(value for value in values if math.isfinite(value))
     return known[len(known) // 2] if known else None

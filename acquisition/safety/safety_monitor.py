@@ -1,8 +1,8 @@
-"""The guard: a process of its own that brings the motor to zero when the acquisition falls silent in a run.
+"""The safety monitor: a separate process that brings the motor to zero when the acquisition falls silent in a run.
 
-A board holds its last output when the process that wrote it hangs, is stopped or dies. The guard needs nobody else: it
-hears the blocks as they are published, and resets the device when they stop coming, again and again until that is done.
-Asked to end, it stays until the motor is known to be at zero.
+A board holds its last output when the process that wrote it hangs, is stopped or dies. The safety monitor depends on no
+other process: it receives the published blocks, and resets the device when they stop. It repeats a failed reset. Asked
+to end, it stays until the motor is known to be at zero.
 """
 
 import time
@@ -18,19 +18,19 @@ from config.errors import ToolError
 from config.schema import RealtimeSettings, Tool
 
 REALTIME_PRIORITY = 70
-"""Less than the acquisition's: a guard that runs wild must not make it late."""
+"""Lower than the acquisition's, so that a safety monitor that runs wild does not delay it."""
 POLL_INTERVAL_MS = 10
 SILENT_POLLS = 6
-"""So often in a row nothing came: 60 to 70 ms. Counted in looks, as a guard that was held up itself knows nothing."""
+"""Consecutive polls without a block, 60 to 70 ms. Polls count, not time: a delayed safety monitor saw nothing."""
 REPORT_INTERVAL_S = 0.1
 RETRY_POLLS = 5  # after a reset that failed
 CPU_BURST_US = 100_000
-"""The guard only waits: if it computes for so long, it runs wild, and an alarm is due within half a second."""
+"""The safety monitor only waits: one that computes for so long runs wild, and an alarm is due within 0.5 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class SafetyMonitorSetup:
-    """All that the guard needs to know."""
+    """Parameters of the safety monitor."""
 
     parent_pid: int
     endpoints: bus.Endpoints
@@ -39,12 +39,12 @@ class SafetyMonitorSetup:
 
 
 def main(setup: SafetyMonitorSetup) -> None:
-    """Run until a signal."""
+    """Run until a signal, or beyond it until a run under way has ended."""
     stop = initialize_worker("guard", setup.parent_pid)
     context = zmq.Context()
     blocks = bus.open_subscriber(context, setup.endpoints.samples)
     publisher = bus.open_publisher(context, setup.endpoints.safety_monitor)
-    read_driver_version(setup.tool)  # and with it connect, so that a reset is quick
+    read_driver_version(setup.tool)  # connects to the board's server, so that a reset is quick
     granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=1, cpu_burst_us=CPU_BURST_US)
     in_run, silent, said_s = False, 0, 0.0
     try:
@@ -68,7 +68,7 @@ def main(setup: SafetyMonitorSetup) -> None:
 
 
 def _reset_to_zero(tool: Tool, publisher: zmq.Socket) -> bool:
-    """Reset the device, and tell what came of it; returns whether the motor is at zero."""
+    """Reset the device and publish the outcome; return whether the motor is at zero."""
     begin_s = time.monotonic()
     try:
         reset_device(tool)

@@ -1,4 +1,4 @@
-"""What a tool has to show at rest before it is armed: a tare, quiet and live sensors, a motor command line at zero."""
+"""The self-test at rest, part of arming: strain gage at its tare, quiet and live sensors, command line at zero."""
 
 from collections import deque
 
@@ -9,20 +9,20 @@ from config.schema import Tool
 
 WINDOW_SAMPLES = 200
 TIMEOUT_SAMPLES = 1_000
-"""So long the jaws may take to come to rest."""
+"""Time limit for the jaws to come to rest."""
 NOISE_RANGE_SHARE = (0.1, 5.0)
-"""Of the tool file's noise, that the strain gage may have at rest; the 2013 recordings' quiet baselines: 0.5 to 2.5."""
+"""Plausible noise at rest as a share of the tool file's; quiet baselines of the 2013 recordings: 0.5 to 2.5."""
 MAX_REST_MOTION_DEG = 1.0
 
 
 def compute_noise_range_v(tool: Tool) -> tuple[float, float]:
-    """The least and the most that a sound strain gage scatters by at rest, V."""
+    """Return the lowest and highest standard deviation of a sound strain gage at rest, V."""
     least, most = NOISE_RANGE_SHARE
     return least * tool.noise.strain_sd_v, most * tool.noise.strain_sd_v
 
 
 class SelfTest:
-    """Keeps the last samples, and judges them when it is asked to."""
+    """Window of the last samples and the checks on them."""
 
     def __init__(self, tool: Tool) -> None:
         self._tool = tool
@@ -33,17 +33,17 @@ class SelfTest:
         self._elapsed_samples = 0
 
     def append(self, samples: np.ndarray) -> None:
-        """A block (dtype SAMPLE)."""
+        """Add a block of dtype SAMPLE_DTYPE."""
         self._recent_blocks.append(samples)
         self._elapsed_samples += len(samples)
 
     @property
     def timed_out(self) -> bool:
-        """Whether a tool that has not passed by now is refused."""
+        """Whether the time limit has passed."""
         return self._elapsed_samples > TIMEOUT_SAMPLES
 
     def find_fault(self) -> str | None:
-        """What the last samples lack, and what to do about it; None: the tool may be armed."""
+        """Return the first fault in the last samples with advice, or None if the tool may be armed."""
         samples = np.concatenate(self._recent_blocks)
         if len(samples) < WINDOW_SAMPLES:
             return "the tool has not been watched long enough: try again"

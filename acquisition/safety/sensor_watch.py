@@ -1,4 +1,4 @@
-"""Watches the sensors for what no grasp can do: then force or jaws are not known, and the motor must not move."""
+"""Plausibility checks of the sensors: after implausible readings force or jaws are unknown, and the motor must stop."""
 
 import math
 from collections import deque
@@ -10,23 +10,24 @@ from acquisition.signals.grasp_tracker import COMMAND_ON_V
 from config.schema import Tool
 
 STUCK_SAMPLES = 10
-"""Equal readings in a row. Noise of 12 steps of the converter gives two equal ones in a row in 2 % of cases; the 2013
-recordings have 5 at most."""
+"""Equal readings in a row that count as stuck. Noise of 12 steps of the converter makes two equal readings in 2 % of
+cases; the 2013 recordings have 5 in a row at most.
+"""
 MEDIAN_SAMPLES = 3
 SCATTER_SAMPLES = 7
 REST_SETTLING_S = 0.3
-"""After the command returned to zero the strain gage is back at its tare."""
+"""Time after the command's return to zero until the strain gage is back at its tare."""
 REST_SAMPLES = 50
 STUCK_TOLERANCE_COUNTS = 2.5
-"""Of the encoder: a reading that flickers stands still."""
+"""Motion of the encoder that counts as standing still, for readings that flicker."""
 
 IN_GRASP = SampleFlag.IN_GRASP.value
 
 
 class SensorMonitor:
-    """Takes every sample of strain gage, encoder and command, and says from which one on they cannot be true.
+    """Monitor of strain gage, encoder and command, sample by sample.
 
-    Limits are the tool's (`plausible` in its file): what its own vibration, noise and speed come to stays within them.
+    The limits are the tool file's `plausible`; the tool's own vibration, noise and speed stay within them.
     """
 
     def __init__(self, tool: Tool) -> None:
@@ -37,7 +38,7 @@ class SensorMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Another tare, or samples after a gap: nothing that came before is compared with them."""
+        """Forget earlier samples, as after a new tare or a gap."""
         self._strain_v: deque[float] = deque(maxlen=2 * MEDIAN_SAMPLES)
         self._scatter_v: deque[float] = deque(maxlen=SCATTER_SAMPLES)
         self._at_rest_v: deque[float] = deque(maxlen=REST_SAMPLES)
@@ -47,9 +48,9 @@ class SensorMonitor:
         self._rest_samples, self._max_command_v = 0, 0.0
 
     def check(self, samples: np.ndarray, rest_v: float) -> str | None:
-        """Why the samples (dtype SAMPLE, consecutive to the last ones) cannot be true, or None.
+        """Return why the samples cannot be true, or None; `rest_v` is the tare, V.
 
-        `rest_v` is the tare, V. Every sample is taken, also after the first that cannot be true.
+        The samples (dtype SAMPLE_DTYPE) follow the last ones without a gap. All are processed, also after a fault.
         """
         why = None
         columns = (samples["strain_v"], samples["encoder_deg"], samples["motor_command_v"], samples["flags"])
@@ -86,7 +87,7 @@ class SensorMonitor:
         return self._check_rest(strain_v, rest_v, command_v)
 
     def _check_rest(self, strain_v: float, rest_v: float, command_v: float) -> str | None:
-        """Between grasps the strain comes back to the tare; a gage that jumped a little in a grasp does not."""
+        """Check that the strain returns to the tare between grasps; a gage that jumped in a grasp does not."""
         if command_v > COMMAND_ON_V:
             self._rest_samples = 0
             self._at_rest_v.clear()
@@ -118,16 +119,15 @@ class SensorMonitor:
         strain_v = sorted(self._strain_v)[MEDIAN_SAMPLES]
         self._max_command_v = max(self._max_command_v, command_v)
         if is_grasped and command_v >= self._max_command_v - COMMAND_ON_V:
-            stretch_deg = self._stretch_deg_per_volt * (
-                strain_v - rest_v
-            )  # Eq. (3): of the cable, which the jaws do not follow
+            # Eq. (3): stretch of the cable, which does not move the jaws
+            stretch_deg = self._stretch_deg_per_volt * (strain_v - rest_v)
             closed_deg = encoder_deg - self._encoder_zero_deg - stretch_deg
             if closed_deg < -limits.encoder_back_deg:
                 return f"the encoder tells jaws {-closed_deg:.0f} degrees wider open than at rest: check its wiring"
         return self._check_encoder_stuck(encoder_deg, strain_v)
 
     def _check_encoder_stuck(self, encoder_deg: float, strain_v: float) -> str | None:
-        """Force stretches the cable, which turns the encoder: standing still while the strain changes, it is stuck."""
+        """Check that the encoder turns when the strain changes: force stretches the cable, which turns it."""
         if not abs(encoder_deg - self._stuck_encoder_deg) < self._stuck_tolerance_deg:
             self._stuck_encoder_deg, self._stuck_strain_v = encoder_deg, strain_v
         change_v = strain_v - self._stuck_strain_v

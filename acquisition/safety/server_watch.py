@@ -1,27 +1,27 @@
-"""Whether the server, through which STOP comes, still lives: judged by the signs of life that its event loop sends."""
+"""Watchdog of the server, which passes on STOP, judged by the heartbeat of its event loop."""
 
 MAX_CHECK_INTERVAL_S = 0.05
-"""Between two looks more than this is a delay of the looking process itself, and no silence of the server's."""
+"""Longest time counted between two checks; a longer pause is a delay of this process, not a silence of the server."""
 
 
 class ServerWatchdog:
-    """Counts for how long the server has been silent while this process could have heard it.
+    """Counter of the time for which the server was silent while this process could receive.
 
-    Take what waits to be read before each look: a sign of life that waits was no silence.
+    Read all waiting messages before each check, so that a heartbeat in the queue is not counted as silence.
     """
 
     def __init__(self, max_silence_s: float) -> None:
-        """`most_s` is the longest silence that a run may go on in, s."""
+        """`max_silence_s` is the longest silence in which a run may go on."""
         self._max_silence_s = max_silence_s
         self._silent_s = 0.0
         self._last_check_s = 0.0
 
     def on_heartbeat(self) -> None:
-        """A sign of life, or a command, has come."""
+        """Reset the silence, on a heartbeat or a command."""
         self._silent_s = 0.0
 
     def check(self, now_s: float) -> str | None:
-        """Why a run must not go on, or None; to be called at every turn. `now_s` is of the monotonic clock."""
+        """Return why a run must end, or None. Call it at every turn, with `now_s` of the monotonic clock."""
         self._silent_s += min(now_s - self._last_check_s, MAX_CHECK_INTERVAL_S)
         self._last_check_s = now_s
         if self._silent_s <= self._max_silence_s:

@@ -1,1 +1,1 @@
-"""What raw samples mean: tare, filter, units, contact."""
+"""Conditioning of raw samples: tare, filter, units, grasp and contact."""

@@ -1,6 +1,6 @@
-"""From volts and degrees at the handle to newtons and metres at the jaws, Eqs. (1) to (6), and back.
+"""Conversion between volts and degrees at the handle and newtons and meters at the jaws, Eqs. (1) to (6).
 
-Both directions have a domain; outside it the result is flagged invalid and NaN, never clipped.
+Outside the equations' domain a jaw signal is NaN and flagged invalid, never clipped.
 """
 
 import math
@@ -13,10 +13,10 @@ from config.schema import Tool
 
 @dataclass(frozen=True, slots=True)
 class JawSignals:
-    """What the jaws do, each array of the shape of the input.
+    """Force and motion of the jaws, each array of the shape of the input.
 
-    `newton_per_volt` and `metre_per_volt` say how strain noise enters force and displacement: the total derivatives
-    of both by the strain voltage at a fixed encoder reading, cable stretch included.
+    `newton_per_volt` and `metre_per_volt` are the total derivatives of force and displacement by the strain voltage at
+    a fixed encoder reading, cable stretch included. They convert the noise of the strain gage.
     """
 
     force_n: np.ndarray
@@ -28,11 +28,11 @@ class JawSignals:
 
 
 def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSignals:
-    """Jaw force and displacement from the tared strain voltage and the encoder angle since jaws at rest.
+    """Return jaw force and displacement from the tared strain voltage and the encoder angle since jaws at rest.
 
     Args:
         strain_v: tared strain gage voltage, V.
-        encoder_deg: encoder after the gearbox, zero at the grasp's start, degrees.
+        encoder_deg: encoder angle after the gearbox, zero at the grasp's start, degrees.
 
     Source: Eqs. (1) to (6) with the geometry of Table I.
     """
@@ -43,7 +43,7 @@ def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarra
 
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         tangent = np.tan(theta_handle)
-        rod = geometry.a_m * tangent  # p: how far the push rod has moved
+        rod = geometry.a_m * tangent  # p: travel of the push rod
         left = geometry.l0_m - rod
         numerator = 2 * geometry.l2_m * geometry.l0_m * math.cos(beta0) + rod**2 - 2 * geometry.l0_m * rod
         cosine = numerator / (2 * geometry.l2_m * left)
@@ -67,7 +67,7 @@ def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarra
         cosine_by_rod = (numerator - 2 * left**2) / (2 * geometry.l2_m * left**2)
         angle_by_volt = (
             cosine_by_rod
-            / sine  # the two minus signs of d(arccos) and of the stretch cancel
+            / sine  # the minus signs of d(arccos) and of the stretch cancel
             * geometry.a_m
             * (1 + tangent**2)
             * radian_per_encoder
@@ -92,10 +92,10 @@ def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarra
 
 
 def compute_sensor_signals(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, float]:
-    """Tared strain voltage (V) and encoder angle (degrees) of a jaw force and displacement: inverse of `to_jaw`.
+    """Return tared strain voltage (V) and encoder angle (degrees): the inverse of `compute_jaw_signals`.
 
     Raises:
-        ValueError: the jaws cannot be there; the text gives the range.
+        ValueError: the jaws cannot reach the displacement; the text says which limit it exceeds.
     """
     geometry, calibration = tool.geometry, tool.calibration
     beta0 = math.radians(geometry.beta0_deg)

@@ -1,4 +1,4 @@
-"""Where a grasp begins and ends, where tissue is touched, where the jaws are shut, and whether the encoder slips."""
+"""Detection of grasps, contact, jaw closure and encoder slip."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -8,14 +8,14 @@ import numpy as np
 from acquisition.sample_block import SampleFlag
 from config.schema import ContactDetection
 
-COMMAND_ON_V = 0.02  # above the single-sample spikes (17 mV) of a command line read back at rest
+COMMAND_ON_V = 0.02  # above the spikes of one sample (17 mV) of a command line read back at rest
 COMMAND_ZERO_V = 0.002  # noise of the read-back
 COMMAND_CONFIRM_SAMPLES = 5
 BACKDATING_SAMPLES = 64
 MEDIAN_SAMPLES = 8
 TOUCH_CONFIRM_SAMPLES = 2
 
-# plain integers: combining enum members costs more than the rest of a sample
+# plain integers: combining enum members takes longer than the rest of a sample's processing
 IN_GRASP, CONTACT, CONTACT_SENSED = SampleFlag.IN_GRASP.value, SampleFlag.CONTACT.value, SampleFlag.CONTACT_SENSED.value
 JAWS_CLOSED, ENCODER_SLIPS = SampleFlag.JAWS_CLOSED.value, SampleFlag.ENCODER_SLIPS.value
 
@@ -29,12 +29,12 @@ class _LoadingPoint:
 
 @dataclass(slots=True)
 class _GraspState:
-    """What is known of the grasp under way."""
+    """State of the grasp under way."""
 
     index: int
     start_tick: int
     encoder_zero_deg: float
-    detected_tick: int  # first sample that is measured from this zero
+    detected_tick: int  # first sample whose encoder angle counts from `encoder_zero_deg`
     contact_tick: int = -1
     jaw_closure_tick: int = -1
     baseline_v: float = np.inf
@@ -45,12 +45,12 @@ class _GraspState:
 
 
 class GraspTracker:
-    """Follows the grasps sample by sample.
+    """Tracker of grasps, sample by sample.
 
-    A grasp begins where the command leaves zero (known a few samples later, back-dated) and ends where it returns.
-    Contact comes from the touch sensors where the tool trusts them, else from the strain rising over its lowest level
-    since the grasp began. Shut jaws show as strain that rises while the encoder advances no more than the cable
-    stretches.
+    A grasp begins where the command leaves zero (detected a few samples later and back-dated) and ends where it
+    returns. Contact comes from the touch sensors if the tool trusts them, else from a rise of the strain over its
+    lowest level in the grasp. The jaws are shut where the strain rises while the encoder advances no more than the
+    cable stretches.
     """
 
     def __init__(self, detection: ContactDetection, stretch_deg_per_volt: float) -> None:
@@ -67,7 +67,7 @@ class GraspTracker:
         self.grasp = _GraspState(index=0, start_tick=-1, encoder_zero_deg=0.0, detected_tick=0)
 
     def update(self, tick: int, command_v: float, strain_v: float, encoder_deg: float, touched: bool) -> int:
-        """Take one sample (strain tared); returns its flags."""
+        """Process one sample, with the strain tared, and return its flags."""
         if not self._recent_samples:
             self.grasp.encoder_zero_deg = encoder_deg
         self._recent_samples.append((command_v, strain_v, encoder_deg))
@@ -100,8 +100,8 @@ class GraspTracker:
             self.in_grasp = False
 
     def _begin_grasp(self, tick: int) -> None:
-        """Back-date the grasp to the sample after the last one at zero, and zero the encoder there."""
-        start = 0  # samples back
+        """Start the grasp at the sample after the last one at zero command, and set the encoder's zero there."""
+        start = 0  # samples to go back
         for command_v, _, encoder_deg in reversed(self._recent_samples):
             if command_v <= COMMAND_ZERO_V:
                 break
@@ -127,7 +127,7 @@ class GraspTracker:
             grasp.contact_tick = max(tick - self._count_samples_since_onset(), grasp.detected_tick)
 
     def _count_samples_since_onset(self) -> int:
-        """How many of the last samples lie above half the rise that tells contact."""
+        """Count the latest consecutive samples above half of the rise that detects contact."""
         onset_v = self.grasp.baseline_v + self._detection.force_rise_v / 2
         count = 0
         for _, strain_v, _ in reversed(self._recent_samples):
@@ -157,6 +157,6 @@ class GraspTracker:
             grasp.jaw_closure_tick = first.tick
 
     def _compute_medians(self) -> tuple[float, float]:
-        """Medians of the last few strain and encoder samples: single-sample spikes do not count."""
+        """Return the medians of the last strain and encoder samples, which ignore spikes of one sample."""
         middle = len(self._last_strain_v) // 2
         return sorted(self._last_strain_v)[middle], sorted(self._last_encoder_deg)[middle]

@@ -1,4 +1,4 @@
-"""The paper's low-pass filter, with its state kept from block to block."""
+"""The paper's low-pass filter, which keeps its state from block to block."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from config.schema import ConditioningSettings
 
 
 class LowPassFilter:
-    """Causal Butterworth filter of several channels; begins in steady state at the first sample."""
+    """Causal Butterworth filter of several channels; it begins in steady state at the first sample."""
 
     def __init__(self, settings: ConditioningSettings, rate_hz: float) -> None:
         if settings.butterworth_cutoff_hz >= rate_hz / 2:
@@ -15,7 +15,7 @@ class LowPassFilter:
                 f"conditioning.butterworth_cutoff_hz: {settings.butterworth_cutoff_hz:g} Hz is not below half of the "
                 f"tool's {rate_hz:g} samples a second. Lower it."
             )
-        from scipy import signal  # takes most of a second: not in processes that only know of this one
+        from scipy import signal  # the import takes most of a second: not for processes that only import this module
 
         self._signal = signal
         self._b, self._a = signal.butter(settings.butterworth_order, settings.butterworth_cutoff_hz, fs=rate_hz)

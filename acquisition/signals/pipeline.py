@@ -1,4 +1,4 @@
-"""From a raw block to a published one: tare, filter, follow the grasp, calibrate."""
+"""Conditioning of raw blocks: tare, filter, grasp tracking, calibration."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from acquisition.signals.low_pass import LowPassFilter
 from config.schema import ConditioningSettings, Tool, ToolCalibration
 
 TARE_SAMPLES = 200
-MIN_TARE_SAMPLES = 50  # fewer are no tare that a motor may move on
+MIN_TARE_SAMPLES = 50  # with fewer there is no tare, and the motor must not move
 TRACKED_COLUMNS = ("grasp", "grasp_start_tick", "contact_tick", "wall_tick", "flags")
 NO_FLAGS, INVALID, SATURATED = np.uint16(0), np.uint16(SampleFlag.INVALID), np.uint16(SampleFlag.SATURATED)
 FILTERED_INVALID = np.uint16(SampleFlag.FILTERED_INVALID)
@@ -18,7 +18,7 @@ DISPLACEMENT_HISTORY_SAMPLES = BACKDATING_SAMPLES
 
 
 class TareEstimator:
-    """The strain gage's rest voltage: the mean of the first samples at rest, or until then the tool file's."""
+    """Estimator of the rest voltage: mean of the first samples at rest, and before them the tool file's value."""
 
     def __init__(self, calibration: ToolCalibration) -> None:
         self._nominal_v = calibration.rest_offset_v
@@ -34,9 +34,9 @@ class TareEstimator:
         return self._sample_count >= MIN_TARE_SAMPLES
 
     def update(self, strain_v: np.ndarray, command_v: np.ndarray) -> np.ndarray:
-        """Take a block; returns the rest voltage known at each of its samples.
+        """Process a block; return the rest voltage known at each of its samples, V.
 
-        The tare is fixed once enough samples came or the command left zero.
+        The tare is fixed once there are enough samples or the command has left zero.
         """
         if self._fixed:
             return np.full(len(strain_v), self.rest_v)
@@ -54,7 +54,7 @@ class TareEstimator:
 
 
 class ConditioningPipeline:
-    """Conditions one source's blocks in their order; the result does not depend on how samples are cut into blocks."""
+    """Conditioning of one source's blocks in order; the result does not depend on how samples are cut into blocks."""
 
     def __init__(self, tool: Tool, conditioning: ConditioningSettings) -> None:
         self._tool, self._conditioning = tool, conditioning
@@ -64,7 +64,7 @@ class ConditioningPipeline:
         self._reset()
 
     def _reset(self) -> None:
-        """A run is measured for itself: what came before it has no part in it, so that it can be repeated."""
+        """Reset all state, so that a run's result does not depend on samples before it and can be repeated."""
         tool = self._tool
         self._low_pass = LowPassFilter(self._conditioning, tool.board.sample_rate_hz)
         self._tracker = GraspTracker(tool.contact, tool.calibration.encoder_deg_per_volt)
@@ -74,11 +74,11 @@ class ConditioningPipeline:
         self._contact_m = np.nan
 
     def restart_tare(self) -> None:
-        """Take the samples that come next, at rest, for the strain gage's rest."""
+        """Tare the strain gage anew from the next samples at rest."""
         self.tare = TareEstimator(self._tool.calibration)
 
     def process(self, raw: RawBlock) -> SampleBlock:
-        """Calibrated, conditioned and segmented samples of one raw block."""
+        """Return the calibrated, conditioned and segmented samples of one raw block."""
         n = len(raw)
         if raw.run and raw.run != self._run:
             self._reset()
@@ -109,7 +109,7 @@ class ConditioningPipeline:
         return SampleBlock(self._sequence, raw.t_mono_ns, raw.lost_samples, samples, raw.run, backlog=raw.backlog)
 
     def _track_grasp(self, samples: np.ndarray, rest_v: np.ndarray) -> np.ndarray:
-        """Follow the grasp sample by sample; returns the encoder's zero for each sample, degrees."""
+        """Track the grasp sample by sample; return the encoder's zero for each sample, degrees."""
         threshold_v = self._tool.contact.touch_threshold_v
         touched = ((samples["touch_1_v"] > threshold_v) | (samples["touch_2_v"] > threshold_v)).tolist()
         strain_v = (samples["strain_v"] - rest_v).tolist()
@@ -127,7 +127,7 @@ class ConditioningPipeline:
         return encoder_zero
 
     def _compute_tissue_displacement(self, samples: np.ndarray) -> np.ndarray:
-        """Jaw displacement since the first touch of the grasp under way, m; NaN while nothing is held."""
+        """Return the jaw displacement since first contact in the grasp under way, m; NaN before contact."""
         displacement = np.concatenate([self._recent_displacements_m, samples["jaw_displacement_m"]])
         self._recent_displacements_m = displacement[-DISPLACEMENT_HISTORY_SAMPLES:]
         held = samples["contact_tick"] >= 0

@@ -1,4 +1,4 @@
-"""A simulated PCI-6230: its clock, tasks with their sample buffers, and outputs that hold. No gRPC in here."""
+"""A simulated PCI-6230: its clock, tasks with sample buffers, and outputs that hold. gRPC is in `service.py`."""
 
 import math
 import threading
@@ -20,8 +20,6 @@ class Clock(Protocol):
 
 
 class RealClock:
-    """The machine's monotonic clock."""
-
     def now_ns(self) -> int:
         return time.monotonic_ns()
 
@@ -31,7 +29,7 @@ class RealClock:
 
 
 class VirtualClock:
-    """Stands still until somebody sleeps on it, then jumps exactly that far; for one client in this process."""
+    """A clock that stands still, and advances exactly as far as its caller sleeps; for one client in this process."""
 
     def __init__(self) -> None:
         self._now_ns = 0
@@ -44,16 +42,16 @@ class VirtualClock:
 
 
 class Plant(Protocol):
-    """What is wired to the board."""
+    """Hardware wired to the board."""
 
     def step(self, command_v: float) -> tuple[float, float, float, float]:
-        """One sample period under a held motor command: strain_v, encoder_deg, touch_1_v, touch_2_v at its end."""
+        """Simulate a sample period under a command, V; return strain V, encoder degrees, touch 1 V, touch 2 V."""
         ...
 
 
 @runtime_checkable
 class PlantWithReadback(Protocol):
-    """A plant that also says what the board reads of its own output, V; it needs not."""
+    """A plant that also determines the read-back of the board's output, V; optional."""
 
     def readback_v(self, command_v: float) -> float: ...
 
@@ -82,7 +80,7 @@ Sample = tuple[float, float, float, float, float]  # strain, readback, touch 1, 
 
 
 class OutputChange(NamedTuple):
-    """A change of the motor command output: when, at which sample since the start, to what."""
+    """A change of the motor command output: time, samples since the start, new value."""
 
     at_ns: int
     sample_index: int
@@ -91,7 +89,7 @@ class OutputChange(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Task:
-    """One DAQmx task; `samples` are those that nobody has read yet."""
+    """One DAQmx task."""
 
     name: str
     kind: ChannelKind | None = None
@@ -110,11 +108,11 @@ class Task:
 class SimulatedBoard:
     """State of the board, safe to call from several threads. Every method raises BoardError as DAQmx would.
 
-    The plant lives in steps of the sample clock, and only while that runs: what nobody samples is not simulated.
+    The plant advances in steps of the sample clock, and only while the clock runs.
     """
 
     def __init__(self, tool: Tool, plant: Plant, clock: Clock | None = None, buffer_samples: int = 10_000) -> None:
-        """`buffer_samples` defaults to what DAQmx allots at 1 kHz, 10 s."""
+        """`buffer_samples` defaults to the buffer of DAQmx at 1 kHz, 10 s."""
         self.clock: Clock = clock or RealClock()
         self._plant = plant
         self._compute_readback_v = plant.readback_v if isinstance(plant, PlantWithReadback) else float
@@ -137,7 +135,7 @@ class SimulatedBoard:
         self._tasks: dict[str, Task] = {}
         self._task_count = 0
         self._output_v = 0.0
-        self._clock_task: Task | None = None  # the analog input task, whose clock is everybody's
+        self._clock_task: Task | None = None  # the analog input task, whose clock all tasks use
         self._started_ns = 0
         self._period_ns = 0
         self._sample_count = 0
@@ -148,7 +146,6 @@ class SimulatedBoard:
 
     @property
     def output_v(self) -> float:
-        """What the motor command output holds, V."""
         return self._output_v
 
     # --- life of a task ----------------------------------------------------------------------------------------------
@@ -182,7 +179,7 @@ class SimulatedBoard:
         return task
 
     def channel_names(self, kind: ChannelKind) -> tuple[str, ...]:
-        """Names of its physical channels, without the device's."""
+        """Return the names of the board's physical channels of a kind, without the device's name."""
         return self._channels[kind]
 
     def check_device(self, device: str) -> None:
@@ -218,7 +215,7 @@ class SimulatedBoard:
             del self._tasks[name]
 
     def reset_device(self, device: str) -> None:
-        """Abort all tasks and put the output to 0 V."""
+        """Abort all tasks and set the output to 0 V."""
         self.check_device(device)
         with self._lock:
             self._check_connected()
@@ -236,24 +233,24 @@ class SimulatedBoard:
     # --- faults ------------------------------------------------------------------------------------------------------
 
     def stop_sample_clock(self, after: int) -> None:
-        """`after` samples from now the sample clock ends, until the device is reset."""
+        """Stop the sample clock `after` samples from now, until the device is reset."""
         with self._lock:
             self._simulate_until_now()
             self._clock_edges_left = after
 
     def disconnect(self, duration_s: float) -> None:
-        """The board is lost for a while: nothing arrives from it, and what is asked of it meets no device."""
+        """Disconnect the board for a while: it delivers no samples, and calls to it fail."""
         with self._lock:
             self._simulate_until_now()
             self._disconnected_until_ns = self.clock.now_ns() + duration_s * 1e9
 
     def delay_samples(self, duration_s: float) -> None:
-        """Samples are taken but not handed over for a while."""
+        """Take samples, but deliver none for a while."""
         with self._lock:
             self._delayed_until_ns = self.clock.now_ns() + duration_s * 1e9
 
     def fail_next_read(self, code: DAQmxErrors) -> None:
-        """The next read is answered with this error."""
+        """Answer the next read with this error."""
         with self._lock:
             self._injected_error = BoardError(code, f"failed with {int(code)}")
 
@@ -277,16 +274,16 @@ class SimulatedBoard:
             low_v, high_v = task.output_range_v
             if not low_v <= volts <= high_v:
                 raise BoardError(DAQmxErrors.INVALID_AO_DATA_WRITE, f"{volts} V is outside {low_v} to {high_v} V.")
-            self._simulate_until_now()  # up to now the old value held
+            self._simulate_until_now()  # the old value held until now
             self._set_output(volts)
 
     def read_analog(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
-        """Up to `count` samples per channel, channel after channel, and how many there are: fewer after a time-out."""
+        """Return up to `count` samples per channel, channel after channel, and their number; fewer after a time-out."""
         samples = self._read(name, count, timeout_s)
         return [sample[column] for column in self.task(name).column_indices for sample in samples], len(samples)
 
     def count_acquired_samples(self, name: str) -> int:
-        """Samples that the task has taken since its start, read or not."""
+        """Return the number of samples taken since the start of the clock, read or not."""
         with self._lock:
             self._check_connected()
             self._simulate_until_now()
@@ -294,7 +291,7 @@ class SimulatedBoard:
             return self._sample_count
 
     def read_encoder(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
-        """As `read_analog`, in degrees as the task was told to scale the counts."""
+        """Return up to `count` samples in degrees, by the task's own scale of the counts, and their number."""
         samples = self._read(name, count, timeout_s)
         scale, resolution_deg = self.task(name).degrees_per_count, self._encoder_resolution_deg
         return [round(sample[4] / resolution_deg) * scale for sample in samples], len(samples)
@@ -307,7 +304,7 @@ class SimulatedBoard:
                 error, self._injected_error = self._injected_error, None
                 raise error
             wake_ns = min(self._ready_ns(task, count), self.clock.now_ns() + round(timeout_s * 1e9))
-        self.clock.sleep_until_ns(wake_ns)  # without the lock: a real board takes an output while a read waits
+        self.clock.sleep_until_ns(wake_ns)  # without the lock: a real board accepts an output while a read waits
         with self._lock:
             self._simulate_until_now()
             samples = self._require_running(name).unread_samples
@@ -324,7 +321,7 @@ class SimulatedBoard:
         return task
 
     def _ready_ns(self, task: Task, count: int) -> float:
-        """When the task will hold `count` samples: never, where its clock does not come."""
+        """Return when the task will hold `count` samples; infinite if its clock does not run."""
         missing = count - len(task.unread_samples)
         if (silent_until_ns := max(self._disconnected_until_ns, self._delayed_until_ns)) > self.clock.now_ns():
             return silent_until_ns
@@ -349,7 +346,7 @@ class SimulatedBoard:
                 other.clocked = other.arm_trigger in ("", self._analog_start)
 
     def _simulate_until_now(self) -> None:
-        """Let the plant live up to now, sample by sample, under the output that held meanwhile."""
+        """Advance the plant to the present time, sample by sample, under the output held meanwhile."""
         if not self._is_clock_running:
             return
         due = (self.clock.now_ns() - self._started_ns) // self._period_ns - self._sample_count
@@ -362,7 +359,7 @@ class SimulatedBoard:
         queues = [task.unread_samples for task in clocked]
         step, command_v = self._plant.step, self._output_v
         readback_v = self._compute_readback_v(command_v)
-        for _ in range(min(due, self._buffer_samples + 1)):  # past an overrun nobody can read any more
+        for _ in range(min(due, self._buffer_samples + 1)):  # samples after an overrun cannot be read
             strain_v, encoder_deg, touch_1_v, touch_2_v = step(command_v)
             sample = (strain_v, readback_v, touch_1_v, touch_2_v, encoder_deg)
             for queue in queues:

@@ -1,4 +1,4 @@
-"""Sensors that fail: a plant between the simulated board and the simulated grasper."""
+"""Sensor faults: a plant between the simulated board and the simulated grasper."""
 
 import math
 import threading
@@ -18,7 +18,7 @@ NOISE_FACTOR = 20.0
 DROP_OUT_V = 0.0
 JUMP_DEG = 60.0
 SLIP_SHARE = 0.3
-"""Of its motion, that a slipping encoder still shows."""
+"""Share of its motion that a slipping encoder still shows."""
 
 
 class SensorFault(StrEnum):
@@ -36,7 +36,7 @@ class SensorFault(StrEnum):
 
 
 class FaultySensors:
-    """A `Plant` whose sensors are sound until `break_now`, from any thread; `samples` counts, `broken_at` is when."""
+    """A `Plant` with sound sensors until a fault is injected, from any thread; `fault_sample` is its first sample."""
 
     def __init__(self, plant: Plant, tool: Tool, seed: int = 0) -> None:
         self._plant, self._tool = plant, tool
@@ -49,11 +49,11 @@ class FaultySensors:
         self.fault_sample: int | None = None
 
     def inject_fault(self, fault: SensorFault) -> None:
-        """From the next sample on."""
+        """Inject a fault from the next sample on."""
         self.inject_fault_at(fault, self.sample_count)
 
     def inject_fault_at(self, fault: SensorFault, sample: int) -> None:
-        """From that sample on, counted from 0."""
+        """Inject a fault from this sample on, counted from 0."""
         with self._lock:
             self._fault, self.fault_sample = fault, sample
 
@@ -62,7 +62,7 @@ class FaultySensors:
             self._fault = None
 
     def step(self, command_v: float) -> SensorReadings:
-        """One sample, as `Plant.step`."""
+        """Simulate one sample, as `Plant.step`."""
         with self._lock:
             if self.sample_count == self.fault_sample:
                 self._frozen_readings = self._last_readings

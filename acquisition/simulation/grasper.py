@@ -10,19 +10,19 @@ from config.errors import ConfigurationError
 from config.schema import TissueLibrary, Tool
 
 TOUCH_ACTIVE_V = 5.0
-FULL_CLOSURE_SHARE = 0.98  # of the thickness, or of what the linkage can reach: the jaws are shut
+FULL_CLOSURE_SHARE = 0.98  # of the thickness, or of the linkage's range: there the jaws are shut
 OPENING_FORCE_N = 0.02
-REST_OFFSET_SD_V = 0.005  # rest voltages of the recordings differ by this much
-FRICTION_SATURATION_M_PER_S = 1e-3  # jaw speed from which on the cable's friction is whole
+REST_OFFSET_SD_V = 0.005  # standard deviation of the rest voltage in the recordings
+FRICTION_SATURATION_M_PER_S = 1e-3  # jaw speed from which on the cable's friction is complete
 BACKLASH_TAKEUP_N = 0.1  # force that tightens the cable
-REMAINING_TISSUE_SHARE = 0.02  # of the tissue that stays between the jaws after it has slipped
+REMAINING_TISSUE_SHARE = 0.02  # share of the tissue that stays between the jaws after slipping
 
 
 class SimulatedGrasper:
-    """Command → drive lag → free travel → contact → tissue → inverse of Eqs. (1) to (6) → noisy volts and counts.
+    """Chain: command, drive lag, free travel, contact, tissue, inverse of Eqs. (1) to (6), noisy volts and counts.
 
     Every grasp holds a new specimen of the tissue, drawn from the profile and its spread with `seed`. `deviation` makes
-    truth and sensors differ from what the estimator assumes.
+    truth and sensors differ from the estimator's assumptions.
     """
 
     def __init__(
@@ -60,14 +60,14 @@ class SimulatedGrasper:
         self.in_contact = False
         integrate_tissue(
             0.0, 0.0, 0.0, 0.0, 0.0, self._dt_s, 0.0, self.specimen.material
-        )  # compiled now, not in a grasp
+        )  # compiles it before the first grasp
 
     def set_tissue(self, tissue: str) -> None:
-        """What the next grasp finds between the jaws."""
+        """Set the tissue of the next grasp."""
         self.tissue = tissue
 
     def step(self, command_v: float) -> tuple[float, float, float, float]:
-        """Advance one sample with the command held; returns strain V, encoder degrees, touch 1 V, touch 2 V."""
+        """Advance one sample with the command held; return strain V, encoder degrees, touch 1 V, touch 2 V."""
         if command_v != self._command_v:
             self._set_command(command_v)
         self._move_jaws()
@@ -78,7 +78,7 @@ class SimulatedGrasper:
         return self._read_strain(strain_v), self._read_encoder(encoder_deg), touch_v, touch_v
 
     def _compute_handle_signals(self) -> tuple[float, float]:
-        """Force and displacement as strain gage and encoder see them through the cable."""
+        """Return force, N, and displacement, m, as strain gage and encoder sense them through the cable."""
         off = self._deviation
         friction = off.friction_share * math.tanh(self._velocity_m_per_s / FRICTION_SATURATION_M_PER_S)
         tightened_m = -off.backlash_m * math.expm1(-self.force_n / BACKLASH_TAKEUP_N)
@@ -92,7 +92,7 @@ class SimulatedGrasper:
 
     @property
     def _free_travel_m(self) -> float:
-        """How far the jaws move before they touch: thick tissue fills them; empty ones meet each other."""
+        """Travel of the jaws before contact: thick tissue fills them, and empty jaws meet each other."""
         opening_m = self._tool.geometry.opening_m
         if self.gauge_m is not None:
             return min(self._max_travel_m, self._max_travel_m if opening_m is None else opening_m - self.gauge_m)
@@ -100,7 +100,7 @@ class SimulatedGrasper:
         return least_m if opening_m is None else max(least_m, opening_m - self.specimen.thickness_m)
 
     def _set_command(self, command_v: float) -> None:
-        if self._command_v <= 0 and not self.in_contact:  # the jaws close anew
+        if self._command_v <= 0 and not self.in_contact:  # a new closing of the jaws
             self._grasp_count += 1
             self.specimen = self._draw_specimen()
         self._command_v = command_v
@@ -116,7 +116,7 @@ class SimulatedGrasper:
             self._approach()
 
     def _approach(self) -> None:
-        """Jaws move freely until they touch."""
+        """Move the jaws freely until contact."""
         free_m = self._free_travel_m
         self.jaw_displacement_m += self.actuator_force_n / self._mechanics.free_drag_kg_per_s * self._dt_s
         self.in_contact = self.jaw_displacement_m >= free_m
@@ -124,7 +124,7 @@ class SimulatedGrasper:
         self._velocity_m_per_s, self._relaxed_force_n, self._contact_time_s, self.force_n = 0.0, 0.0, 0.0, 0.0
 
     def _compress_tissue(self) -> None:
-        """The drive's force reaches the tissue through the cable and deforms it; shut jaws take any force."""
+        """Deform the tissue by the drive's force, which the cable transmits; shut jaws hold any force."""
         begin_n = self.force_n
         self.force_n += (self.actuator_force_n - self.force_n) * self._contact_weight
         self._contact_time_s += self._dt_s
@@ -150,7 +150,7 @@ class SimulatedGrasper:
         self.jaw_displacement_m = self._free_travel_m + x_m
 
     def _compute_motion_m(self) -> float:
-        """How far the body moves the tissue against the jaws."""
+        """Return how far the body moves the tissue against the jaws, m."""
         off = self._deviation
         if not off.motion_m:
             return 0.0
@@ -158,7 +158,7 @@ class SimulatedGrasper:
         return off.motion_m * (math.sin(turn + self._motion_phase_rad) - math.sin(self._motion_phase_rad))
 
     def _compute_held_material(self) -> Material:
-        """What is between the jaws now: less and less where the tissue slips."""
+        """Return the material between the jaws, of which less is left while the tissue slips."""
         material, off = self.specimen.material, self._deviation
         slipping = (self._contact_time_s - off.slips_after_s) / off.slips_within_s
         if slipping <= 0:
@@ -167,7 +167,7 @@ class SimulatedGrasper:
         return material._replace(alpha_n=material.alpha_n * share, damping_kg_per_s=material.damping_kg_per_s * share)
 
     def _open_jaws(self) -> None:
-        """The return spring takes the jaws back; the tissue follows until they leave it."""
+        """Open the jaws by the return spring; the tissue follows until they leave it."""
         self.jaw_displacement_m *= self._opening_factor
         self.tissue_displacement_m = max(self.jaw_displacement_m - self._free_travel_m, 0.0)
         self.in_contact = self.tissue_displacement_m > 0.0

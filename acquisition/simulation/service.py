@@ -27,14 +27,14 @@ _COUNTS_PER_PULSE = {EncoderType.X_1.value: 1, EncoderType.X_2.value: 2, Encoder
 
 
 def create_in_process_options(board: SimulatedBoard) -> nidaqmx.GrpcSessionOptions:
-    """What to give to nidaqmx, or to `NidaqTool`, to reach `board` by plain function calls."""
+    """Return the session options with which nidaqmx or `NidaqSource` reaches `board` by plain function calls."""
     return nidaqmx.GrpcSessionOptions(InProcessChannel(BoardService(board)), "")
 
 
 def serve_tcp(
     board: SimulatedBoard, address: str = "127.0.0.1:0", credentials: grpc.ServerCredentials | None = None
 ) -> tuple[grpc.Server, int]:
-    """Serve `board` at `address`, encrypted with `credentials`; returns the running server and its port.
+    """Serve `board` at `address`, encrypted with `credentials`; return the running server and its port.
 
     Raises:
         RuntimeError: the address is taken.
@@ -47,7 +47,7 @@ def serve_tcp(
 
 
 def _convert_board_errors(method: Callable[[Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
-    """Turn a BoardError into the status and metadata in which nidaqmx looks for the error code."""
+    """Convert a BoardError to the status and metadata in which nidaqmx looks for the error code."""
 
     @functools.wraps(method)
     def answer(service: Any, request: Any, context: Any) -> Any:
@@ -61,7 +61,7 @@ def _convert_board_errors(method: Callable[[Any, Any], Any]) -> Callable[[Any, A
 
 
 class BoardService(NiDAQmxServicer):
-    """The DAQmx calls that the driver needs; any other is answered with UNIMPLEMENTED by the base class."""
+    """The DAQmx calls that the driver needs; the base class answers any other with UNIMPLEMENTED."""
 
     def __init__(self, board: SimulatedBoard) -> None:
         self._board = board
@@ -110,7 +110,7 @@ class BoardService(NiDAQmxServicer):
     def GetReadAttributeUInt64(self, request: pb.GetReadAttributeUInt64Request) -> pb.GetReadAttributeUInt64Response:
         return pb.GetReadAttributeUInt64Response(
             value=self._board.count_acquired_samples(request.task.name)
-        )  # no other is asked for
+        )  # the driver asks for no other attribute
 
     @_convert_board_errors
     def CreateAIVoltageChan(self, request: pb.CreateAIVoltageChanRequest) -> pb.CreateAIVoltageChanResponse:
@@ -185,7 +185,7 @@ class BoardService(NiDAQmxServicer):
 
 
 def _read_status(got: int, wanted: int) -> int:
-    """A time-out is no gRPC error but a status, because it brings the samples that did come."""
+    """Return the status of a read. A time-out is no gRPC error, because it delivers the samples that did come."""
     return 0 if got == wanted else DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE
 
 
@@ -195,7 +195,7 @@ class _Metadatum(NamedTuple):
 
 
 class InProcessError(grpc.RpcError):
-    """What `grpc.RpcError` is over a socket: status, text and trailing metadata."""
+    """The in-process counterpart of a socket's `grpc.RpcError`: status, text and trailing metadata."""
 
     def __init__(self, status: grpc.StatusCode, text: str, metadata: tuple[_Metadatum, ...] = ()) -> None:
         super().__init__(text)
@@ -212,7 +212,7 @@ class InProcessError(grpc.RpcError):
 
 
 class _InProcessContext:
-    """As much of `grpc.ServicerContext` as `_answers` uses."""
+    """The part of `grpc.ServicerContext` that `_convert_board_errors` uses."""
 
     _metadata: tuple[_Metadatum, ...] = ()
 
@@ -224,7 +224,7 @@ class _InProcessContext:
 
 
 class InProcessChannel(grpc.Channel):
-    """Calls the service's methods with the request objects themselves: no socket, no thread, no serialisation."""
+    """A channel that calls the service's methods with the request objects: no socket, thread or serialization."""
 
     def __init__(self, service: BoardService) -> None:
         self._service = service
@@ -241,18 +241,18 @@ class InProcessChannel(grpc.Channel):
         return invoke
 
     def unary_stream(self, method: str, *_: Any, **__: Any) -> Callable[..., Any]:
-        return self.unary_unary(method)  # streams carry DAQmx events, none of which the service knows
+        return self.unary_unary(method)  # streams carry DAQmx events, none of which the service has
 
     stream_unary = stream_stream = unary_stream
 
     def subscribe(self, callback: Any, try_to_connect: bool | None = False) -> None:
-        """The connection never changes."""
+        """Do nothing: the connection never changes."""
 
     def unsubscribe(self, callback: Any) -> None:
-        """See `subscribe`."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing."""
 
     def __enter__(self) -> "InProcessChannel":
         return self

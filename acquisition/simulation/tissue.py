@@ -1,4 +1,4 @@
-"""What is between the jaws of the simulated grasper, and how it gives way."""
+"""The tissue between the jaws of the simulated grasper, and its deformation."""
 
 import math
 from dataclasses import dataclass
@@ -14,22 +14,24 @@ HUNT_CROSSLEY_REFERENCE_N = 1.0  # elastic force at which damping that grows wit
 
 @dataclass(frozen=True, slots=True)
 class ModelDeviation:
-    """How the truth differs from what the estimator assumes; by default not at all."""
+    """Deviations of the simulated truth from the estimator's assumptions; none by default."""
 
     mass_kg: float | None = None  # instead of the library's
     hunt_crossley: bool = False  # damping in proportion to the elastic force instead of constant
-    relaxed_share: float = 0.0  # of the elastic force that goes while the tissue is held
+    relaxed_share: float = 0.0  # share of the elastic force that relaxes while the tissue is held
     relaxation_s: float = 0.5
-    plateau_n: float = 0.0  # cell walls of a foam that buckle: a force that is there from `plateau_m` on
+    plateau_n: float = 0.0  # force of buckling cell walls of a foam, reached from `plateau_m` on
     plateau_m: float = 1e-3
-    motion_m: float = 0.0  # breathing or heartbeat move the tissue against the jaws
+    motion_m: float = 0.0  # motion of the tissue against the jaws by breathing or heartbeat
     motion_hz: float = 0.25
-    slips_after_s: float = math.inf  # the tissue begins to slide out of the jaws
+    slips_after_s: float = math.inf  # contact time at which the tissue begins to slide out of the jaws
     slips_within_s: float = 0.3
-    touch_late_m: float = 0.0  # compression before the touch sensors tell
+    touch_late_m: float = 0.0  # compression before the touch sensors detect contact
     force_scale: float = 1.0  # of the strain gage
-    backlash_m: float = 0.0  # motion the encoder sees and the jaws do not make, while the cable tightens
-    friction_share: float = 0.0  # of the force: the cable's friction, which the strain gage sees with the motion's sign
+    backlash_m: float = 0.0  # motion that the encoder senses and the jaws do not make, while the cable tightens
+    friction_share: float = (
+        0.0  # of the force: friction of the cable, which the strain gage senses with the motion's sign
+    )
 
 
 NO_DEVIATION = ModelDeviation()
@@ -59,7 +61,7 @@ class Specimen:
 
     @classmethod
     def draw(cls, library: TissueLibrary, tissue: str, scatter: list[float], deviation: ModelDeviation) -> "Specimen":
-        """`scatter`: deviations of log alpha, log beta, log d and log thickness in standard deviations."""
+        """Draw a specimen; `scatter`: deviations of log alpha, beta, d and thickness in standard deviations."""
         profile, spread = library.tissues[tissue], library.spread_of(tissue)
         material = Material(
             profile.alpha_n * math.exp(spread.log_alpha * scatter[0]),
@@ -77,9 +79,9 @@ class Specimen:
 
 @njit(cache=True)
 def integrate_tissue(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, material):
-    """Displacement, velocity and relaxed force after `dt_s` under a force from `begin_n` straight to `end_n`.
+    """Return displacement, velocity and relaxed force after `dt_s`, under a force linear from `begin_n` to `end_n`.
 
-    `moved_m` is how far the tissue has been moved against the jaws. Runge-Kutta, 4th order: another method than the
+    `moved_m` is how far the tissue has been moved against the jaws. The method, 4th-order Runge-Kutta, differs from the
     estimator's on purpose.
     """
     step_s, half_s = dt_s / SUBSTEPS, 0.5 * dt_s / SUBSTEPS
@@ -103,7 +105,7 @@ def integrate_tissue(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, m
 
 @njit(cache=True)
 def _compute_derivatives(x_m, v_m_per_s, relaxed_n, force_n, material):
-    """Acceleration, m/s², and how fast the relaxed part of the elastic force grows, N/s."""
+    """Return the acceleration, m/s², and the growth of the relaxed part of the elastic force, N/s."""
     elastic_n = material.alpha_n * math.expm1(min(material.beta_per_m * x_m, 50.0))
     if material.plateau_n > 0.0 and x_m > 0.0:
         elastic_n -= material.plateau_n * math.expm1(-x_m / material.plateau_m)

@@ -1,6 +1,6 @@
-"""Wires that are not where they should be: a plant between the simulated board and the simulated grasper.
+"""Wiring faults: a plant between the simulated board and the simulated grasper.
 
-A sensor that never worked is one of `FaultySensors` that broke at the first sample.
+For a sensor that never worked, use `FaultySensors` with a fault at sample 0.
 """
 
 import math
@@ -19,7 +19,7 @@ class WiringFault(StrEnum):
 
 
 class MiswiredGrasper:
-    """A `Plant`; `readback_v` says what the board reads of its own output."""
+    """A `Plant` with a wiring fault; `readback_v` returns the board's read-back of its own output."""
 
     def __init__(self, grasper: SimulatedGrasper, wiring_fault: WiringFault) -> None:
         self._grasper, self._wiring_fault = grasper, wiring_fault
@@ -30,7 +30,7 @@ class MiswiredGrasper:
         return share.get(self._wiring_fault, 1.0) * command_v
 
     def step(self, command_v: float) -> tuple[float, float, float, float]:
-        """One sample, as `Plant.step`."""
+        """Simulate one sample, as `Plant.step`."""
         strain_v, encoder_deg, *touch_v = self._grasper.step(command_v)
         self._sample_count += 1
         match self._wiring_fault:

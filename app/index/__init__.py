@@ -1,1 +1,1 @@
-"""What can be searched: runs, grasps, alarms, audit and files in a database."""
+"""The searchable database of runs, grasps, alarms, journal lines and files."""

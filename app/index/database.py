@@ -1,4 +1,4 @@
-"""Reach an index's database and bring its tables up to date. What differs between SQLite and PostgreSQL is here."""
+"""Connection to the index's database and migration of its tables, for SQLite and PostgreSQL."""
 
 import contextlib
 import os
@@ -19,11 +19,11 @@ from config.errors import ConfigurationError, ServiceError
 from config.schema import Settings
 
 MIGRATIONS_FOLDER = Path(__file__).parent / "migrations"
-REVISION_TABLE = "graspwatch_revision"  # of our own: a PostgreSQL database may have other programs' tables
+REVISION_TABLE = "graspwatch_revision"  # a PostgreSQL database may also have other programs' tables
 LOCK_TIMEOUT_MS = 10_000
 CONNECT_TIMEOUT_S = 5
-MIGRATION_LOCK_ID = 0x67726173  # PostgreSQL's number of the lock under which one service at a time migrates
-# a server that is gone has to become an error: the default waits for a quarter of an hour
+MIGRATION_LOCK_ID = 0x67726173  # key of PostgreSQL's lock under which one service at a time migrates
+# so that a lost server becomes an error: the default waits for a quarter of an hour
 POSTGRESQL_CONNECT_ARGS = {
     "connect_timeout": CONNECT_TIMEOUT_S,
     "tcp_user_timeout": LOCK_TIMEOUT_MS,
@@ -32,7 +32,7 @@ POSTGRESQL_CONNECT_ARGS = {
 
 
 def resolve_index_url(setting: str | None, data: Path) -> URL:
-    """The address of the index: as configured, else `index.sqlite` in the data folder.
+    """Return the configured address of the index, else that of `index.sqlite` in the data folder.
 
     Raises:
         ConfigurationError: it is no address of SQLite or PostgreSQL.
@@ -42,7 +42,7 @@ def resolve_index_url(setting: str | None, data: Path) -> URL:
     advice = "Write postgresql://user@host/database or sqlite:////folder/index.sqlite, or leave it out."
     try:
         url = make_url(setting)
-    except (ArgumentError, ValueError):  # the latter for a port that is no number
+    except (ArgumentError, ValueError):  # ValueError: a port that is no number
         raise ConfigurationError(f"index_url: is no address of a database. {advice}") from None
     match url.drivername:
         case "postgresql" | "postgres" | "postgresql+psycopg":
@@ -53,12 +53,12 @@ def resolve_index_url(setting: str | None, data: Path) -> URL:
 
 
 def index_url_from_settings(settings: Settings, data: Path) -> URL:
-    """Where the index of this data folder is; raises as `index_url` does."""
+    """Return the address of this data folder's index; raises as `resolve_index_url`."""
     return resolve_index_url(settings.index_url.get_secret_value() if settings.index_url else None, data)
 
 
 def make_engine(url: URL) -> Engine:
-    """Ready to connect; nothing is opened yet.
+    """Return an engine for the database, without connecting.
 
     Raises:
         ConfigurationError: PostgreSQL's driver is not installed.
@@ -79,7 +79,7 @@ def make_engine(url: URL) -> Engine:
 
 
 def make_writing_engine(engine: Engine) -> Engine:
-    """The same for transactions that write: two that change the same row do not overwrite each other unseen."""
+    """Return an engine for transactions that write; none silently overwrites another's change of a row."""
     if engine.dialect.name == "sqlite":
         return engine.execution_options(writes=True)
     return engine.execution_options(isolation_level="REPEATABLE READ")
@@ -92,13 +92,13 @@ def _prepare_sqlite(connection: Any, _: Any) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    """Who is going to write waits for other writers at once: later, having read, it would be refused instead."""
+    """Begin a transaction; a writing one waits for other writers now, because after a read it would be refused."""
     connection.exec_driver_sql("BEGIN IMMEDIATE" if connection.get_execution_options().get("writes") else "BEGIN")
 
 
 @contextlib.contextmanager
 def explain_database_errors(url: URL) -> Iterator[None]:
-    """Database errors inside become a ServiceError that says what to do next."""
+    """Convert database errors inside to a ServiceError that says what to do next."""
     try:
         yield
     except DBAPIError as error:
@@ -106,12 +106,12 @@ def explain_database_errors(url: URL) -> Iterator[None]:
 
 
 def migrate(engine: Engine) -> None:
-    """Make the tables, or migrate those of an older index, in one transaction.
+    """Create the tables, or migrate those of an older index, in one transaction.
 
     Raises:
-        ServiceError: the database is not reached, damaged, read-only, of something else, or of a newer Graspwatch.
+        ServiceError: the database is unreachable, damaged, read-only, of another program, or of a newer Graspwatch.
     """
-    # PostgreSQL: at its usual isolation, which sees what another service made while this one waited for the lock
+    # PostgreSQL's usual isolation sees the tables that another service made while this one waited for the lock.
     migrating = make_writing_engine(engine) if engine.dialect.name == "sqlite" else engine
     with explain_database_errors(engine.url), migrating.begin() as connection:
         if engine.dialect.name == "postgresql":
@@ -136,13 +136,13 @@ def migrate(engine: Engine) -> None:
 
 
 def _enable_write_ahead_log(engine: Engine) -> None:
-    """Readers do not wait for writers. The file remembers it: another program's database is never changed to it."""
+    """Let readers not wait for writers. The file stores this setting, so no other program's file must get it."""
     with explain_database_errors(engine.url), engine.connect() as connection:
-        connection.connection.execute("PRAGMA journal_mode=WAL").close()  # beside SQLAlchemy: not in a transaction
+        connection.connection.execute("PRAGMA journal_mode=WAL").close()  # SQLAlchemy would open a transaction
 
 
 def read_revision(connection: Connection) -> str | None:
-    """Which revision the tables are of; None where there are none."""
+    """Return the revision of the tables, or None if there are none."""
     return MigrationContext.configure(connection, opts={"version_table": REVISION_TABLE}).get_current_revision()
 
 
@@ -151,12 +151,12 @@ def newest_revision() -> str:
 
 
 def _list_revisions() -> list[str]:
-    """Newest first."""
+    """Return all known revisions, the newest first."""
     return [script.revision for script in ScriptDirectory(str(MIGRATIONS_FOLDER)).walk_revisions()]
 
 
 def _check_no_foreign_tables(engine: Engine, connection: Connection) -> None:
-    """Tables without a revision are not ours: a SQLite file of something else, or names that are taken."""
+    """Check that there are no tables of another program: they have no revision, or take the index's names."""
     found = set(inspect(connection).get_table_names())
     ours = found if engine.dialect.name == "sqlite" else found & set(IndexTable.metadata.tables)
     if ours:

@@ -1,4 +1,4 @@
-"""What a database's error means to a person, in one message; a password is never in it."""
+"""Messages for people from database errors, without passwords."""
 
 import sqlite3
 
@@ -8,7 +8,7 @@ from sqlalchemy.exc import DBAPIError
 from config.errors import ServiceError
 
 REBUILD_COMMAND = "graspwatch index --rebuild"
-WRITE_CONFLICT_CODES = ("40001", "40P01")  # PostgreSQL: somebody else wrote the same row meanwhile; try again
+WRITE_CONFLICT_CODES = ("40001", "40P01")  # PostgreSQL: another writer changed the same row; try again
 SQLITE_CAUSES = {
     sqlite3.SQLITE_READONLY: "the file or its folder is read-only: allow writing",
     sqlite3.SQLITE_CANTOPEN: "it cannot be opened: check that its folder is there and may be written to",
@@ -34,19 +34,18 @@ POSTGRESQL_CAUSES = {
 
 
 def display_url(url: URL) -> str:
-    """A database's address for people, without its password."""
+    """Return a database's address for people, without its password."""
     if url.get_backend_name() == "sqlite":
         return str(url.database)
     return url.set(drivername="postgresql", query={}).render_as_string(hide_password=True)
 
 
 def to_service_error(url: URL, error: DBAPIError) -> ServiceError:
-    """The error to tell."""
     return ServiceError(f"The index {display_url(url)} cannot be used: {describe_cause(error)}.")
 
 
 def describe_cause(error: DBAPIError) -> str:
-    """What is wrong and what to do next."""
+    """Return what is wrong and what to do next."""
     original = error.orig
     if isinstance(original, sqlite3.Error):
         primary = getattr(original, "sqlite_errorcode", 0) & 0xFF  # the rest of the code is detail
@@ -59,5 +58,5 @@ def describe_cause(error: DBAPIError) -> str:
 
 
 def is_write_conflict(error: DBAPIError) -> bool:
-    """Whether another writer was quicker, so that trying again helps."""
+    """Return whether another writer was faster, so that another try helps."""
     return getattr(error.orig, "sqlstate", None) in WRITE_CONFLICT_CODES

@@ -1,4 +1,4 @@
-"""Who uses an index: any number of services at once, or one rebuild alone. A claim ends with its process."""
+"""Lock of an index: shared by any number of services, or exclusive to one rebuild. It ends with its process."""
 
 import fcntl
 import os
@@ -12,18 +12,18 @@ from app.index.database import explain_database_errors
 from app.index.database_errors import display_url
 from config.errors import ServiceError
 
-INDEX_LOCK_ID = 0x67726177  # PostgreSQL's number of this lock
+INDEX_LOCK_ID = 0x67726177  # key of PostgreSQL's lock
 LOCK_TIMEOUT_S = 10.0
 
 
 class IndexLock:
-    """On the index of an engine; a context that gives it back.
+    """Lock on the index of an engine; a context that releases it.
 
-    `first` says that nobody else had one: whatever the index calls under way is not. Who is first has it alone until
-    `share`, so that no two make its tables at the same time.
+    `is_first_user` says that no other service had the lock: then no run listed as under way still is. The first user
+    has the lock exclusively until `downgrade_to_shared`, so that only one process creates the tables.
 
     Raises:
-        ServiceError: it is being rebuilt, or (`alone`) a service uses it, or the lock cannot be had at all.
+        ServiceError: a rebuild has the lock, or (`exclusive`) a service, or the lock cannot be acquired at all.
     """
 
     def __init__(self, engine: Engine, *, exclusive: bool = False) -> None:
@@ -40,11 +40,11 @@ class IndexLock:
             raise ServiceError(f"The index {display_url(engine.url)} is being rebuilt. Start again when that is done.")
 
     def downgrade_to_shared(self) -> None:
-        """Let other services have it too."""
+        """Let other services acquire the lock, too."""
         self._lock.acquire(exclusive=False)
 
     def _wait_for_shared(self) -> bool:
-        """Another service that is just starting has it alone for a moment."""
+        """Wait for a service that holds the lock exclusively for a moment while it starts; return success."""
         end_s = time.monotonic() + LOCK_TIMEOUT_S
         while not (taken := self._lock.acquire(exclusive=False)) and time.monotonic() < end_s:
             time.sleep(0.05)
@@ -61,7 +61,7 @@ class IndexLock:
 
 
 class _FileLock:
-    """On a file beside the database."""
+    """A lock on a file beside the database."""
 
     def __init__(self, engine: Engine) -> None:
         path = Path(f"{engine.url.database}.lock")
@@ -75,7 +75,7 @@ class _FileLock:
             ) from None
 
     def acquire(self, *, exclusive: bool) -> bool:
-        """A claim alone becomes one of many by taking it so."""
+        """Acquire the lock, or change its mode; return success."""
         try:
             fcntl.flock(self._file, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -87,7 +87,7 @@ class _FileLock:
 
 
 class _AdvisoryLock:
-    """On the server, as long as one connection lasts."""
+    """A lock on the PostgreSQL server, held as long as one connection."""
 
     def __init__(self, engine: Engine) -> None:
         self._url = engine.url
@@ -101,9 +101,9 @@ class _AdvisoryLock:
             if taken and not exclusive:
                 self._connection.scalar(
                     text(f"SELECT pg_advisory_unlock({INDEX_LOCK_ID})")
-                )  # which `first` may have left
+                )  # of the first user, from its start
         return bool(taken)
 
     def close(self) -> None:
-        self._connection.invalidate()  # closed for good, not kept for others: the lock goes with it
+        self._connection.invalidate()  # closes the connection instead of pooling it, which releases the lock
         self._connection.close()

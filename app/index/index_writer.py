@@ -1,5 +1,4 @@
-"""The index as the service keeps it: messages are taken at once and written by a thread, so that a slow or broken
-database never holds the event loop up, let alone a run."""
+"""The service's writer to the index: a queue and a thread, so that a slow database never blocks the event loop."""
 
 import asyncio
 import contextlib
@@ -17,9 +16,9 @@ from app.index.ingest import IndexedMessage
 from app.index.store import Store
 from app.messages.wire import Alarm
 
-MAX_QUEUED_MESSAGES = 20_000  # messages; further ones are left out, counted and told: the files have them
+MAX_QUEUED_MESSAGES = 20_000  # further ones are dropped, counted and reported: the files have them
 MAX_BATCH_MESSAGES = 500
-BATCH_DELAY_S = 0.02  # what comes together is written together: the event loop has the same interpreter
+BATCH_DELAY_S = 0.02  # writes messages in batches, because the event loop shares the interpreter
 RETRY_DELAY_S = 2.0
 CLOSE_TIMEOUT_S = 5.0
 FLUSH_TIMEOUT_S = 1.0
@@ -31,10 +30,10 @@ Answer = TypeVar("Answer")
 
 
 class IndexWriter:
-    """Writes what it takes, in order. While the database is at fault it keeps trying; up to `WAITING` messages wait.
+    """Writer of messages in order. While the database is at fault it retries, and up to MAX_QUEUED_MESSAGES wait.
 
-    `on_fault` hears on the event loop what is wrong, once, and None when all is well again. What was left out stays
-    known, also to the next service and `graspwatch index`, until a rebuild removes the file `marker`.
+    `on_fault` is called on the event loop once a fault begins, and with None when it is over. The file `marker` records
+    that messages were dropped, also for the next service and `graspwatch index`, until a rebuild removes it.
     """
 
     def __init__(self, store: Store, marker: Path, on_fault: Callable[[str | None], None]) -> None:
@@ -43,12 +42,12 @@ class IndexWriter:
         self._is_behind = marker.exists()
         self.dropped_messages = 0
         self._on_fault = on_fault
-        self._database_fault: str | None = None  # what the database is at fault with
+        self._database_fault: str | None = None  # the database's present fault
         self._reported_fault: str | None = None
         self._queue: queue.Queue[QueuedMessage | threading.Event] = queue.Queue(MAX_QUEUED_MESSAGES)
         self._closing = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._thread = threading.Thread(target=self._run, name="index", daemon=True)  # it never holds up an exit
+        self._thread = threading.Thread(target=self._run, name="index", daemon=True)  # never delays an exit
 
     def start(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -56,7 +55,7 @@ class IndexWriter:
         self._report_fault()
 
     def enqueue(self, message: IndexedMessage, run_id: str | None = None) -> None:
-        """Put a wire message into the index, soon. Never waits, never fails."""
+        """Queue a wire message for the index. Never blocks, never fails."""
         try:
             self._queue.put_nowait((message, run_id))
         except queue.Full:
@@ -66,11 +65,11 @@ class IndexWriter:
     def _drop(self, messages: int) -> None:
         self.dropped_messages += messages
         self._is_behind = True
-        with contextlib.suppress(OSError):  # it is tried again at the end, and the alarm is on
+        with contextlib.suppress(OSError):  # the alarm is on, and `aclose` tries again
             self._marker.touch()
 
     async def wait_until_written(self) -> bool:
-        """Wait until everything so far is written; False if the database is at fault or takes too long."""
+        """Wait until all queued messages are written; return False if the database is at fault or too slow."""
         if self._database_fault or not self._thread.is_alive():
             return False
         written = threading.Event()
@@ -81,7 +80,7 @@ class IndexWriter:
         return await asyncio.to_thread(written.wait, FLUSH_TIMEOUT_S)
 
     async def query(self, store_method: Callable[..., Answer], *arguments: Any) -> Answer:
-        """Ask the store a question, of everything that has happened so far.
+        """Call a method of the store in a thread, after all messages queued so far are written.
 
         Raises:
             ServiceError: the database is at fault.
@@ -90,7 +89,7 @@ class IndexWriter:
         return await asyncio.to_thread(store_method, *arguments)
 
     async def aclose(self) -> None:
-        """Write what waits; what cannot be written in a few seconds is left to a rebuild, and said so in the log."""
+        """Write the queued messages and close the store; log those that a few seconds do not suffice for."""
         self._closing.set()
         with contextlib.suppress(queue.Full):
             self._queue.put_nowait(threading.Event())  # wakes the thread up
@@ -105,12 +104,12 @@ class IndexWriter:
         self.store.close()
 
     def _report_fault(self) -> None:
-        """What is wrong now, where it is not what was told last."""
+        """Call `on_fault` if the fault has changed since the last report."""
         fault = self._database_fault or (BEHIND_TEXT if self._is_behind else None)
         if fault == self._reported_fault or self._loop is None:
             return
         self._reported_fault = fault
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody listens any more
+        with contextlib.suppress(RuntimeError):  # the event loop is closed
             self._loop.call_soon_threadsafe(self._on_fault, fault)
 
     # --- in the thread -----------------------------------------------------------------------------------------------
@@ -144,7 +143,7 @@ class IndexWriter:
         return batch
 
     def _try_write(self, messages: list[QueuedMessage]) -> bool:
-        """False: the database is at fault, try again."""
+        """Write the messages; return False if the database is at fault and should be tried again."""
         try:
             self.store.ingest_all(messages)
         except (StatementError, ValueError, OverflowError) as error:
@@ -165,6 +164,6 @@ class IndexWriter:
 
 
 def _drop_superseded_alarms(messages: list[QueuedMessage]) -> list[QueuedMessage]:
-    """Without changes of an alarm that were overtaken meanwhile: while the force rises, there is one for each block."""
+    """Drop all but the last change of each alarm: while the force rises, there is one a block."""
     last = {message.id: message for message, _ in messages if isinstance(message, Alarm)}
     return [each for each in messages if not isinstance(each[0], Alarm) or last[each[0].id] is each[0]]

@@ -1,7 +1,7 @@
-"""Put wire messages into the tables. Taking a message twice changes nothing.
+"""Ingestion of wire messages into the tables. Ingesting a message twice changes nothing.
 
-Runs, grasps, alarms and journal lines may come in any order: the newest of one thing stays, whichever came last. What
-is said of a recording's file is how it is now: there the last counts.
+Runs, grasps, alarms and journal lines may come in any order: the newest message of each wins. Of a recording's file the
+last message wins, because it describes the present state.
 """
 
 import hashlib
@@ -19,10 +19,10 @@ IndexedMessage = Run | GraspEnded | Alarm | JournalEntry | FileRecord
 
 
 def ingest(session: Session, message: IndexedMessage, run_id: str | None = None) -> None:
-    """Put one message into the index; `run_id` is the run of a grasp that does not say it.
+    """Put one message into the index; `run_id` is the run of a grasp message without one.
 
     Raises:
-        TypeError: no table is for such a message.
+        TypeError: there is no table for such a message.
     """
     match message:
         case Run():
@@ -41,13 +41,13 @@ def ingest(session: Session, message: IndexedMessage, run_id: str | None = None)
 
 
 def parse_iso_ms(moment: str) -> float:
-    """ISO 8601 to milliseconds since 1970; without a zone it is UTC."""
+    """Convert ISO 8601 to milliseconds since 1970; without a time zone it is UTC."""
     found = datetime.fromisoformat(moment)
     return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp() * 1e3
 
 
 def line_key(entry: JournalEntry) -> str:
-    """What tells lines of the journal apart: everything they say, wherever they stand."""
+    """Return the key of a journal line: a hash of its content without its place in the chain."""
     return hashlib.sha256(entry.without_chain().to_line().encode()).hexdigest()
 
 
@@ -60,7 +60,7 @@ def _to_json_dict(message: WireModel) -> dict[str, Any]:
 
 
 def _replace_nul(text: str | None) -> str | None:
-    """PostgreSQL takes no NUL in a text; the message beside it keeps it."""
+    """Replace NUL, which PostgreSQL refuses in texts; the row's JSON message keeps it."""
     return text.replace("\0", "\ufffd") if text is not None else None
 
 
@@ -69,7 +69,7 @@ def _get_row(session: Session, table: type[Row], *key: Any) -> Row | None:
 
 
 def _get_or_add_run_row(session: Session, run_id: str) -> RunRow:
-    """A run that nothing is known of yet gets its row with its first grasp."""
+    """Return a run's row; a grasp may create it before the run's own message comes."""
     row = _get_row(session, RunRow, run_id)
     if row is None:
         row = RunRow(id=run_id, grasps=0)
@@ -91,13 +91,13 @@ def _ingest_run(session: Session, run: Run) -> None:
 
 
 def _run_recency(run: Run) -> tuple[bool, str, str]:
-    """A run that is over stays so."""
+    """Return a sort key, in which a run that is over is newer than one under way."""
     return run.state is not RunState.RUNNING, run.ended_at or "", _to_json_text(run)
 
 
 def _ingest_grasp(session: Session, ended: GraspEnded, run_id: str | None) -> None:
     if run_id is None:
-        return  # of no run: nothing that could be asked for
+        return  # a grasp of no run cannot be queried
     grasp, run = ended.grasp, _get_or_add_run_row(session, run_id)
     run.grasps = max(run.grasps, grasp.index)
     session.flush()
@@ -136,10 +136,10 @@ def _alarm_recency(alarm: Alarm) -> tuple[int, str]:
 
 
 def _ingest_journal_entry(session: Session, entry: JournalEntry) -> None:
-    """With the line comes what it is about, unless the line was there: then it has come, and may have changed since."""
+    """Add a line and the messages in it; of a known line, only update its place in the chain."""
     key = line_key(entry)
     if row := _get_row(session, AuditRow, key):
-        if entry.hash:  # it had to wait for its place in the journal
+        if entry.hash:  # it may come before its place in the journal is known
             row.message = _to_json_dict(entry)
         return
     session.add(

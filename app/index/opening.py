@@ -1,4 +1,4 @@
-"""Open an index for a service, before anything moves."""
+"""Opening of an index for a service, before the tool moves."""
 
 import os
 from pathlib import Path
@@ -17,14 +17,14 @@ from app.index.rebuild import (
 from app.index.store import Store
 
 MAX_BATCH_LINES = 500
-MAX_CATCH_UP_RECORDINGS = 3  # what a killed service may have left; more would make the start slow
+MAX_CATCH_UP_RECORDINGS = 3  # recordings that a killed service may have left; more would delay the start
 MAX_CATCH_UP_BYTES = 4_000_000  # of the journal's end; about 10,000 lines
 
 
 def open_store_for_service(url: URL, data: Path, readers: tuple[RecordingReader, ...]) -> Store:
-    """Up to date, claimed, and with the last lines of the journal and the few recordings that it lacks.
+    """Return the open store with the journal's last lines and the few recordings that it lacked.
 
-    Where it lacks many, it is marked as behind.
+    If it lacks many recordings, it is marked as behind.
 
     Raises:
         ConfigurationError: PostgreSQL's driver is missing.
@@ -33,7 +33,7 @@ def open_store_for_service(url: URL, data: Path, readers: tuple[RecordingReader,
     store = Store(url)
     try:
         _ingest_journal_tail(store, data / "journal.jsonl")
-        if store.is_first_user:  # else they may be of another service, and under way
+        if store.is_first_user:  # otherwise another service may be writing them
             _ingest_missing_recordings(store, data, readers)
     except BaseException:
         store.close()
@@ -42,7 +42,7 @@ def open_store_for_service(url: URL, data: Path, readers: tuple[RecordingReader,
 
 
 def _ingest_journal_tail(store: Store, journal: Path) -> None:
-    """Take those of the journal's last lines that the index lacks, because it could not be written when they were."""
+    """Ingest the last journal lines that the index lacks, because it could not be written at their time."""
     try:
         with journal.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
@@ -51,7 +51,7 @@ def _ingest_journal_tail(store: Store, journal: Path) -> None:
                 file.readline()  # the rest of a line
             entries = [entry for entry in parse_journal_lines(file) if entry]
     except OSError:
-        return  # none yet; one that cannot be read is told by who writes it
+        return  # no journal yet; the journal's writer reports one that cannot be read
     with explain_database_errors(store.url):
         for begin in range(0, len(entries), MAX_BATCH_LINES):
             store.ingest_new_lines(entries[begin : begin + MAX_BATCH_LINES])
@@ -66,6 +66,5 @@ def _ingest_missing_recordings(store: Store, data: Path, readers: tuple[Recordin
     with explain_database_errors(store.url):
         for path, reader in missing.items():
             with store.write_transaction() as session:
-                ingest_recording(
-                    session, path, reader, RebuildResult()
-                )  # its faults are told with the list of recordings
+                # The list of recordings shows its problems.
+                ingest_recording(session, path, reader, RebuildResult())

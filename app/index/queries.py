@@ -1,4 +1,4 @@
-"""What can be asked of the index: filters and paging, as REST takes them, and the queries they become."""
+"""Queries of the index: filters and paging, as REST takes them, and their SQL statements."""
 
 from datetime import datetime
 from enum import StrEnum
@@ -20,44 +20,46 @@ class SortOrder(StrEnum):
 
 
 class TimeRangeQuery(BaseModel):
-    """Null: any."""
+    """Filters by time and offset; null means any."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    offset: Annotated[int, Field(ge=0, le=1_000_000_000, description="Leave out so many before them")] = 0
-    since: Annotated[AwareDatetime | None, Field(description="ISO 8601 with a zone; from then on")] = None
-    until: Annotated[AwareDatetime | None, Field(description="ISO 8601 with a zone; before then")] = None
+    offset: Annotated[int, Field(ge=0, le=1_000_000_000, description="Number of results to skip")] = 0
+    since: Annotated[AwareDatetime | None, Field(description="Earliest time, ISO 8601 with a time zone")] = None
+    until: Annotated[
+        AwareDatetime | None, Field(description="Time before which to search, ISO 8601 with a time zone")
+    ] = None
 
 
 class PageQuery(TimeRangeQuery):
-    """One page of what was asked for."""
+    """Query for one page."""
 
-    limit: Annotated[int, Field(ge=1, le=500, description="At most so many")] = 100
-    order: Annotated[SortOrder, Field(description="Which come first")] = SortOrder.NEWEST
+    limit: Annotated[int, Field(ge=1, le=500, description="Maximum number of results")] = 100
+    order: Annotated[SortOrder, Field(description="Order of the results")] = SortOrder.NEWEST
 
 
 class RecordingQuery(TimeRangeQuery):
-    """Of the recordings folder, which is no part of the index; times are of the last change."""
+    """Query of the recordings folder, which is not in the index; times are of the last change."""
 
-    limit: Annotated[int | None, Field(ge=1, le=500, description="At most so many; null: all")] = None
-    q: Annotated[SearchText | None, Field(description="In its name")] = None
+    limit: Annotated[int | None, Field(ge=1, le=500, description="Maximum number of results; null: all")] = None
+    q: Annotated[SearchText | None, Field(description="Text in its name")] = None
 
 
 class RunQuery(PageQuery):
     order: SortOrder = SortOrder.OLDEST
     state: RunState | None = None
     protocol: SearchText | None = None
-    tissue: Annotated[SearchText | None, Field(description="What it was said to hold")] = None
-    label: Annotated[SearchText | None, Field(description="What one of its grasps was named")] = None
+    tissue: Annotated[SearchText | None, Field(description="Tissue stated at its start")] = None
+    label: Annotated[SearchText | None, Field(description="Label of one of its grasps")] = None
     by: SearchText | None = None
-    q: Annotated[SearchText | None, Field(description="In its id, protocol, tissue, who or why")] = None
+    q: Annotated[SearchText | None, Field(description="Text in its id, protocol, tissue, operator or reason")] = None
 
 
 class GraspQuery(PageQuery):
-    """`since` and `until` are of the run's start."""
+    """Query of grasps; `since` and `until` refer to the run's start."""
 
     label: SearchText | None = None
-    tissue: Annotated[SearchText | None, Field(description="What its run was said to hold")] = None
+    tissue: Annotated[SearchText | None, Field(description="Tissue stated for its run")] = None
     valid: bool | None = None
     run: SearchText | None = None
 
@@ -65,24 +67,24 @@ class GraspQuery(PageQuery):
 class AlarmQuery(PageQuery):
     kind: AlarmKind | None = None
     priority: Priority | None = None
-    run: Annotated[SearchText | None, Field(description="On while this run was under way")] = None
-    q: Annotated[SearchText | None, Field(description="In its text")] = None
+    run: Annotated[SearchText | None, Field(description="Run during which it was on")] = None
+    q: Annotated[SearchText | None, Field(description="Text in its message")] = None
 
 
 class AuditQuery(PageQuery):
     kind: JournalKind | None = None
     by: SearchText | None = None
-    q: Annotated[SearchText | None, Field(description="In its text")] = None
+    q: Annotated[SearchText | None, Field(description="Text in its message")] = None
 
 
 class FileQuery(PageQuery):
     run: SearchText | None = None
     deleted: bool | None = None
-    q: Annotated[SearchText | None, Field(description="In its name")] = None
+    q: Annotated[SearchText | None, Field(description="Text in its name")] = None
 
 
 def select_runs(query: RunQuery) -> Select[tuple[RunRow]]:
-    """Without those that only their grasps are known of."""
+    """Select runs, without those known only by their grasps."""
     named = select(GraspRow.run_id).where(GraspRow.run_id == RunRow.id, GraspRow.label == query.label)
     statement = select(RunRow).where(
         RunRow.state.is_not(None),
@@ -139,7 +141,7 @@ ChainPosition = tuple[str, int, str, str]
 
 
 def fetch_chain_positions(connection: Connection) -> list[ChainPosition]:
-    """Of every line that has its place in the journal's chain."""
+    """Return the positions of all lines that have a place in the journal's chain."""
     message = AuditRow.message
     own = message["hash"].as_string()
     statement = select(message["chain"].as_string(), message["number"].as_integer(), own, AuditRow.text)

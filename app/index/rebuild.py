@@ -1,6 +1,6 @@
-"""Build the index anew from the files: every recording, and the journal. The live index comes from the same messages.
+"""Rebuild of the index from all recordings and the journal, which hold the same messages as the live index.
 
-The index does not know how a recording is written: a `Reader` for each kind says what is in it.
+The index does not know the format of a recording: a `RecordingReader` reads each kind.
 """
 
 import contextlib
@@ -25,17 +25,17 @@ from app.index.tables import IndexTable
 from app.messages.wire import FileRecord, JournalEntry
 from config.errors import GraspwatchError, ServiceError
 
-BEHIND_MARKER_FILE = "index.behind"  # in the data folder: something was left out of the index
+BEHIND_MARKER_FILE = "index.behind"  # in the data folder: messages were left out of the index
 SQLITE_SUFFIXES = ("", "-wal", "-shm")
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingReader:
-    """How recordings with one `ending` are read.
+    """Reader of recordings whose names end with `suffix`.
 
-    `recorded_messages` gives the wire messages in a file in order, each with the run it belongs to; at a damaged place
-    it raises RecordingError, and what came before counts. `recorded_file` says what the file as a whole is; the
-    recorder gives the live index what it returns.
+    `read_messages` yields a file's wire messages in order, each with its run's id; at damage it raises RecordingError,
+    and the messages before count. `read_file_record` returns the record of the file; the recorder gives the live index
+    the same.
     """
 
     suffix: str
@@ -45,7 +45,7 @@ class RecordingReader:
 
 @dataclass(slots=True)
 class RebuildResult:
-    """What a rebuild found."""
+    """Result of a rebuild."""
 
     recordings: int = 0
     lines: int = 0
@@ -55,7 +55,7 @@ class RebuildResult:
 
 
 def find_recordings(data: Path, readers: Iterable[RecordingReader]) -> dict[Path, RecordingReader]:
-    """The recordings of a data folder and how each is read, by name, which is by age."""
+    """Return the recordings of a data folder by name, which is by age, with their readers."""
     files = sorted(path for path in (data / "recordings").glob("*") if path.is_file())
     return {path: reader for path in files for reader in readers if path.name.endswith(reader.suffix)}
 
@@ -63,7 +63,7 @@ def find_recordings(data: Path, readers: Iterable[RecordingReader]) -> dict[Path
 def find_binned_recordings(
     data: Path, readers: Iterable[RecordingReader]
 ) -> dict[Path, tuple[BinnedFile, RecordingReader]]:
-    """The same of those in the bin: they can be restored, and then their grasps are to be known."""
+    """Return the recordings in the bin with their readers: after a restore their grasps have to be known."""
     files = reversed(BinFolder(data / "recordings").list_files())
     return {file.path: (file, reader) for file in files for reader in readers if file.name.endswith(reader.suffix)}
 
@@ -71,10 +71,10 @@ def find_binned_recordings(
 def rebuild(
     url: URL, data: Path, readers: Iterable[RecordingReader], progress: Callable[[float], None]
 ) -> RebuildResult:
-    """Build the index anew and put it in the old one's place as a whole; `progress` hears the share that is done.
+    """Build the index anew and replace the old one as a whole; `progress` receives the share done.
 
     Raises:
-        ServiceError: a service uses the index, or the new one cannot be written: the old one is as it was.
+        ServiceError: a service uses the index, or the new one cannot be written; the old one is unchanged.
     """
     try:
         rebuilt = (_rebuild_in_new_file if url.get_backend_name() == "sqlite" else _rebuild_in_place)(
@@ -92,7 +92,7 @@ def rebuild(
 def _rebuild_in_place(
     url: URL, data: Path, readers: Iterable[RecordingReader], progress: Callable[[float], None]
 ) -> RebuildResult:
-    """In one transaction."""
+    """Rebuild in one transaction."""
     with contextlib.closing(Store(url, exclusive=True)) as store:
         return _fill_store(store, data, readers, progress)
 
@@ -100,11 +100,11 @@ def _rebuild_in_place(
 def _rebuild_in_new_file(
     url: URL, data: Path, readers: Iterable[RecordingReader], progress: Callable[[float], None]
 ) -> RebuildResult:
-    """Beside the old one, which may be damaged; the two are exchanged at the end."""
+    """Rebuild in a file beside the old one, which may be damaged, and exchange them at the end."""
     place = Path(url.database or "")
     new = place.with_name(f"{place.name}.new")
     with IndexLock(make_engine(url), exclusive=True):
-        _delete_database(new)  # of a rebuild that was broken off
+        _delete_database(new)  # of an interrupted rebuild
         try:
             with contextlib.closing(Store(url.set(database=str(new)), exclusive=True)) as store:
                 rebuilt = _fill_store(store, data, readers, progress)
@@ -124,7 +124,8 @@ def _fill_store(
         find_journals(data),
         find_binned_recordings(data, readers),
     )
-    # the journal knows who deleted what and what came back; and a recording that is there is not deleted
+    # the journal, with deletions and restores, after the bin; recordings last, because a file that exists is not
+    # deleted
     sizes = {path: max(path.stat().st_size, 1) for path in [*binned, *journals, *recordings]}
     done, total = 0, sum(sizes.values())
     with explain_database_errors(store.url), store.write_transaction() as session:
@@ -147,9 +148,9 @@ def _fill_store(
 def ingest_recording(
     session: Session, path: Path, reader: RecordingReader, result: RebuildResult, deleted_at: str | None = None
 ) -> None:
-    """A recording that cannot be read to its end gives what it has; its fault is told, and the others go on.
+    """Ingest a recording, as far as it can be read; add a fault to the result's problems instead of raising it.
 
-    `deleted_at` is of one in the bin, ISO 8601.
+    `deleted_at` is that of a recording in the bin, ISO 8601.
     """
     for part in (_iterate_messages, _iterate_file_record):
         try:
@@ -165,7 +166,7 @@ def ingest_recording(
 
 
 def _iterate_messages(path: Path, reader: RecordingReader) -> Iterator[tuple[str | None, IndexedMessage]]:
-    """Of the journal without the place in it: that is only believed to this folder's own journal."""
+    """Yield the messages; journal lines lose their place in the chain, which only this folder's journal may define."""
     for run_id, message in reader.read_messages(path):
         yield run_id, message.without_chain() if isinstance(message, JournalEntry) else message
 
@@ -178,7 +179,7 @@ def _iterate_file_record(path: Path, reader: RecordingReader) -> Iterator[tuple[
 
 
 def parse_journal_lines(lines: Iterable[bytes]) -> Iterator[JournalEntry | None]:
-    """The lines of a journal; None for one that is broken, such as the last before a power cut."""
+    """Yield the lines of a journal; None for a broken one, such as the last before a power cut."""
     for line in lines:
         if line.strip():
             try:
@@ -207,7 +208,7 @@ def _ingest_journal(session: Session, path: Path, result: RebuildResult) -> None
 
 
 def _replace_database(new: Path, place: Path) -> Path | None:
-    """Put a new index in an old one's place. The old one stays, under a name with the date."""
+    """Replace an old index by a new one; return the old one's path, a name with the date, if there was one."""
     aside = None
     if place.exists():
         aside = place.with_name(f"{place.name}.{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.bad")

@@ -1,4 +1,4 @@
-"""What an index holds and whether it lacks something, without changing it."""
+"""Status of an index, read without changing it: its counts and what it lacks."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ MAX_TAIL_BYTES = 100_000  # of the journal: enough for its last line
 
 @dataclass(frozen=True, slots=True)
 class IndexStatus:
-    """`counts` is empty where there is no index yet. `behind` says what it lacks; empty: nothing."""
+    """Status of an index. `counts` is empty if there is none; `behind` lists what it lacks."""
 
     where: str
     revision: str | None
@@ -29,13 +29,13 @@ class IndexStatus:
 
 
 def read_status(url: URL, data: Path, readers: tuple[RecordingReader, ...]) -> IndexStatus:
-    """Look at an index.
+    """Read the status of an index.
 
     Raises:
         ConfigurationError: PostgreSQL's driver is missing.
         ServiceError: it cannot be read.
     """
-    if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # looking must not make one
+    if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # a look must not create one
         return IndexStatus(display_url(url), None, newest_revision(), {}, ["everything: there is no index yet"])
     engine = make_engine(url)
     try:
@@ -51,13 +51,13 @@ def read_status(url: URL, data: Path, readers: tuple[RecordingReader, ...]) -> I
 
 
 def read_chain_positions(url: URL) -> list[ChainPosition]:
-    """What the index knows of the journal's chain; nothing where there is no index yet.
+    """Return the positions in the journal's chain that the index holds; none if there is no index yet.
 
     Raises:
         ConfigurationError: PostgreSQL's driver is missing.
         ServiceError: it cannot be read.
     """
-    if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # looking must not make one
+    if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # a look must not create one
         return []
     engine = make_engine(url)
     try:

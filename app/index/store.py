@@ -1,4 +1,4 @@
-"""The index: takes wire messages, answers questions with wire messages. Blocks; see keeper.py for the event loop."""
+"""The index's store: ingests and returns wire messages. It blocks; `index_writer.py` is for the event loop."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -18,20 +18,20 @@ from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, Pag
 from app.index.tables import AuditRow, FileRow, GraspRow, IndexTable, RunRow
 from app.messages.wire import Alarm, FileRecord, Grasp, GraspEnded, JournalEntry, Run, RunState
 
-MAX_TRIES = 5  # against another writer who is quicker
+MAX_TRIES = 5  # while another writer is faster
 M = TypeVar("M")
 
 
 @dataclass(frozen=True, slots=True)
 class Page(Generic[M]):
-    """One page, and how many there are on all."""
+    """One page of results, and the number of all."""
 
     items: list[M]
     total: int
 
 
 class Store:
-    """An open index, up to date and claimed for a service, or for a rebuild `alone`. May be used from several threads.
+    """An open, migrated index, locked for a service or, with `exclusive`, for a rebuild; for several threads.
 
     Raises:
         ConfigurationError: PostgreSQL's driver is missing.
@@ -52,23 +52,23 @@ class Store:
 
     @property
     def is_first_user(self) -> bool:
-        """Whether no other service used it when this one came."""
+        """Whether no other service used the index when this one opened it."""
         return self._index_lock.is_first_user
 
     def close(self) -> None:
         self._index_lock.close()
         self._engine.dispose()
 
-    # --- take --------------------------------------------------------------------------------------------------------
+    # --- write -------------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def write_transaction(self) -> Iterator[Session]:
-        """A transaction: all of it is written, or nothing."""
+        """Open a transaction: all of it is written, or nothing."""
         with Session(make_writing_engine(self._engine)) as session, session.begin():
             yield session
 
     def ingest(self, message: IndexedMessage, run_id: str | None = None) -> None:
-        """Put a wire message into the index; the same twice changes nothing. `run_id`: of a grasp that says none.
+        """Put a wire message into the index; a second time changes nothing. `run_id`: of a grasp without one.
 
         Raises:
             DBAPIError: it could not be written.
@@ -76,7 +76,7 @@ class Store:
         self.ingest_all([(message, run_id)])
 
     def ingest_all(self, messages: Iterable[tuple[IndexedMessage, str | None]]) -> None:
-        """The same for many at once: all or none."""
+        """Put many messages into the index, all or none."""
         messages = list(messages)
         for left in reversed(range(MAX_TRIES)):
             try:
@@ -89,13 +89,13 @@ class Store:
                     raise
 
     def ingest_new_lines(self, entries: list[JournalEntry]) -> None:
-        """Those lines of the journal that are not there yet."""
+        """Ingest the journal lines that the index lacks."""
         keys = {line_key(entry): entry for entry in entries}
         with Session(self._engine) as session:
             known = set(session.scalars(select(AuditRow.key).where(AuditRow.key.in_(keys))))
         self.ingest_all((entry, None) for key, entry in keys.items() if key not in known)
 
-    # --- ask ---------------------------------------------------------------------------------------------------------
+    # --- read --------------------------------------------------------------------------------------------------------
 
     def find_runs(self, query: RunQuery) -> Page[Run]:
         rows, total = self._fetch_page(queries.select_runs(query), query)
@@ -106,7 +106,7 @@ class Store:
         return _to_run(row) if row and row.message is not None else None
 
     def find_unfinished_runs(self) -> list[Run]:
-        """Runs that are said to be under way."""
+        """Return the runs whose last known state is under way."""
         with explain_database_errors(self.url), Session(self._engine) as session:
             query = select(RunRow).where(RunRow.state == RunState.RUNNING.value).order_by(RunRow.started_ms)
             return [_to_run(row) for row in session.scalars(query)]
@@ -116,7 +116,7 @@ class Store:
         return Page([GraspEnded.model_validate(row.message) for row in rows], total)
 
     def list_run_grasps(self, run_id: str) -> list[Grasp]:
-        """All of a run, in order."""
+        """Return all grasps of a run, in order."""
         with explain_database_errors(self.url), Session(self._engine) as session:
             rows = session.scalars(select(GraspRow).where(GraspRow.run_id == run_id).order_by(GraspRow.index))
             return [GraspEnded.model_validate(row.message).grasp for row in rows]
@@ -130,7 +130,7 @@ class Store:
         return Page([JournalEntry.model_validate(row.message) for row in rows], total)
 
     def list_chain_positions(self) -> list[queries.ChainPosition]:
-        """Every line that has its place in the journal's chain."""
+        """Return the positions of all lines that have a place in the journal's chain."""
         with explain_database_errors(self.url), self._engine.connect() as connection:
             return queries.fetch_chain_positions(connection)
 
@@ -147,7 +147,7 @@ class Store:
             return set(session.scalars(select(FileRow.name)))
 
     def dump(self) -> dict[str, list[dict[str, object]]]:
-        """Everything, sorted: two indexes are equal if this is."""
+        """Return all rows, sorted: two indexes are equal if their dumps are."""
         with explain_database_errors(self.url), self._engine.connect() as connection:
             return {
                 name: [dict(row) for row in connection.execute(table.select().order_by(*table.primary_key)).mappings()]
@@ -156,7 +156,7 @@ class Store:
 
     def _get_row(self, table: type[RunRow] | type[FileRow], key: str) -> RunRow | FileRow | None:
         if "\0" in key:
-            return None  # nothing is called so, and PostgreSQL does not even take the question
+            return None  # no name has a NUL, and PostgreSQL refuses it in a query
         with explain_database_errors(self.url), Session(self._engine) as session:
             return session.get(table, key)
 

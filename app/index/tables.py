@@ -1,7 +1,6 @@
-"""The tables: what is searched and sorted by stands in columns, the whole message as JSON beside it.
+"""The tables: columns for searching and sorting, and the whole message as JSON.
 
-Moments are milliseconds since 1970. `message` is the wire model as it was taken; a run that is known only by its grasps
-has none yet.
+Times are milliseconds since 1970. `message` is the ingested wire model; a run known only by its grasps has none.
 """
 
 from typing import Any
@@ -45,7 +44,7 @@ class GraspRow(IndexTable):
 
 
 class AlarmRow(IndexTable):
-    """`key`: its id and when it began, for ids begin anew with each service."""
+    """`key`: the alarm's id and start, because ids begin anew with each service."""
 
     __tablename__ = "alarms"
 
@@ -76,7 +75,7 @@ class AuditRow(IndexTable):
 
 
 class FileRow(IndexTable):
-    """A recording; one that was deleted stays, with who did it and when. Its run may be unknown here."""
+    """A recording; a deleted one stays, with the time and the person. The index may not know its run."""
 
     __tablename__ = "files"
 

@@ -1,1 +1,1 @@
-"""How runs are written, found, repaired, replayed and exchanged."""
+"""Recordings of runs: writing, listing, repair, replay and exchange."""

@@ -1,4 +1,4 @@
-"""The shelf: which recordings can be replayed."""
+"""The catalog of recordings that can be replayed."""
 
 import asyncio
 import stat
@@ -17,12 +17,12 @@ from config.service_plan import ServicePlan
 
 RECORDING_SUFFIXES = (".mcap", ".lvm", ".lvm.gz")
 RETRY_ADVICE = "Ask for the list again."
-MAX_FILES_PER_READ = 50  # files: then those come first that are new meanwhile
+MAX_FILES_PER_READ = 50  # the next reading starts with files that are new meanwhile
 
 
 @dataclass(frozen=True, slots=True)
 class _CatalogFile:
-    """A file as it was found; another size or time of change makes it another one."""
+    """A file as it was found; with another size or modification time it counts as another file."""
 
     path: Path
     size_bytes: int
@@ -31,19 +31,19 @@ class _CatalogFile:
 
 @dataclass(frozen=True, slots=True)
 class _FileSummary:
-    """What reading a file gave: its duration, or why it cannot be read."""
+    """Result of reading a file: its duration, or why it cannot be read."""
 
     duration_s: float | None = None
     problem: str | None = None
-    metadata: dict[str, str] = field(default_factory=dict)  # of the run, where the file knows one
+    metadata: dict[str, str] = field(default_factory=dict)  # of the run, if the file has it
     is_complete: bool = True
 
 
 def open_recording(path: Path, tool: Tool) -> RecordingSource:
-    """Read a recording, to be played as fast as it goes.
+    """Open a recording unthrottled.
 
     Raises:
-        RecordingError: it cannot be read; names the file, without its folder, and the line.
+        RecordingError: it cannot be read; the text names the file without its folder, and the line.
     """
     try:
         return RecordingSource(path, tool)
@@ -52,7 +52,7 @@ def open_recording(path: Path, tool: Tool) -> RecordingSource:
 
 
 def read_files(send: SendMessage, files: list[_CatalogFile], tool: Tool) -> None:
-    """Read files one after the other; tells each with what was found."""
+    """Read files one after the other; send each with its summary."""
     for file in files:
         try:
             send((file, _read_file(file.path, tool)))
@@ -61,7 +61,7 @@ def read_files(send: SendMessage, files: list[_CatalogFile], tool: Tool) -> None
 
 
 def _read_file(path: Path, tool: Tool) -> _FileSummary:
-    """What a file holds; of a whole MCAP file only its beginning and its end are read."""
+    """Return a file's summary; for a complete MCAP file only its beginning and end are read."""
     if path.suffix != ".mcap":
         return _FileSummary(open_recording(path, tool).duration_s)
     container = McapFile(path)
@@ -72,7 +72,7 @@ def _read_file(path: Path, tool: Tool) -> _FileSummary:
 
 
 class RecordingCatalog:
-    """The recordings of the data folder, and those named on the command line, wherever they are."""
+    """The recordings of the data folder and those named on the command line."""
 
     def __init__(self, plan: ServicePlan) -> None:
         self._plan = plan
@@ -81,7 +81,7 @@ class RecordingCatalog:
         self._read_task: asyncio.Task[None] | None = None
 
     async def list_recordings(self) -> Recordings:
-        """At once what is known: those of the command line first, then the newest; the rest is read meanwhile."""
+        """Return the known recordings, the command line's first, then the newest; read others in the background."""
         files = await asyncio.to_thread(self._scan_files)
         self._summaries = {file: self._summaries[file] for file in files.values() if file in self._summaries}
         unread = [file for file in files.values() if file not in self._summaries]
@@ -92,7 +92,7 @@ class RecordingCatalog:
         )
 
     async def find_path(self, name: str) -> Path:
-        """The file of a recording: only what the list shows can be named.
+        """Return a recording's file; only names of the list are found.
 
         Raises:
             RefusedError: there is no such recording.
@@ -103,11 +103,11 @@ class RecordingCatalog:
         return file.path
 
     def is_opened(self, path: Path) -> bool:
-        """Whether it was named on the command line."""
+        """Return whether the recording was named on the command line."""
         return path in self._opened_recordings.values()
 
     async def aclose(self) -> None:
-        """End the reading."""
+        """Cancel the background reading."""
         if self._read_task:
             self._read_task.cancel()
             await asyncio.gather(self._read_task, return_exceptions=True)
@@ -131,7 +131,7 @@ class RecordingCatalog:
             await run_in_background_process(
                 "shelf", read_files, unread, self._plan.recording_tool, on_message=keep, advice=RETRY_ADVICE
             )
-        except GraspwatchError as error:  # it died of the first that it did not tell of; the others come next time
+        except GraspwatchError as error:  # it died of the first file without a summary; the others are read next time
             broken = [file for file in unread if file not in self._summaries]
             self._summaries |= dict.fromkeys(broken[:1], _FileSummary(problem=str(error)))
 
@@ -154,7 +154,7 @@ class RecordingCatalog:
 
 
 def _assign_names(paths: tuple[Path, ...]) -> dict[str, Path]:
-    """Files by their names, those of equal names numbered."""
+    """Return files by their names, with a number where names are equal."""
     named: dict[str, Path] = {}
     for path in dict.fromkeys(path.resolve() for path in paths):
         stem, dot, endings = path.name.partition(".")
@@ -164,7 +164,7 @@ def _assign_names(paths: tuple[Path, ...]) -> dict[str, Path]:
 
 
 def _stat_file(path: Path) -> _CatalogFile | None:
-    """None for what is no file, or is none any more."""
+    """Return the file's size and modification time, or None if it is no regular file or is gone."""
     try:
         found = path.stat()
     except OSError:

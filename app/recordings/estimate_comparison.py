@@ -1,4 +1,4 @@
-"""Whether a replay gives the estimates that were recorded, and what was different if it does not."""
+"""Comparison of a replay's estimates with the recorded ones, and of both configurations."""
 
 import json
 from collections.abc import Iterator
@@ -13,19 +13,19 @@ from app.recordings.mcap_writer import RecordingContext
 from config.errors import RecordingError
 from estimator.estimate_rows import estimate_columns
 
-RELEVANT_SETTINGS = ("conditioning", "identification", "limiter", "warnings")  # of the settings, for estimates
+RELEVANT_SETTINGS = ("conditioning", "identification", "limiter", "warnings")  # those that affect estimates
 CONFIGURATION_NAMES = {
     mcap_layout.TOOL_ATTACHMENT: "tool",
     mcap_layout.LIBRARY_ATTACHMENT: "library",
     mcap_layout.SETTINGS_ATTACHMENT: "settings",
     mcap_layout.VERSIONS_METADATA_NAME: "version of",
 }
-MAX_DIFFERENCES = 12  # differences of the configuration
+MAX_DIFFERENCES = 12  # of the configuration
 
 
 @dataclass(slots=True)
 class EstimateComparison:
-    """What came of it. Only samples of the run are compared: those from before it began had a past that is not kept."""
+    """Result of a comparison of the run's samples; earlier samples depend on data that are not recorded."""
 
     run_id: str
     differences: list[str]
@@ -44,7 +44,7 @@ class EstimateComparison:
         }
 
     def text(self) -> str:
-        """One line for people, and the differences."""
+        """Return one line for people, with the differences."""
         if not self.compared_samples:
             said = f"Run {self.run_id}: none of its estimates could be compared."
         elif self.unequal_samples:
@@ -60,10 +60,10 @@ class EstimateComparison:
 
 
 class EstimateComparator:
-    """Give it a replay's estimates in their order."""
+    """Comparator for a replay's estimates, passed in their order."""
 
     def __init__(self, container: McapFile, recording_context: RecordingContext, first_tick: int) -> None:
-        """`rig`: what is replayed with; `first_tick`: what the replay's ticks count from."""
+        """`recording_context`: configuration of the replay; `first_tick`: recorded tick that is 0 in the replay."""
         about = container.metadata
         self._first_tick, self._run_first_tick = first_tick, int(about["run_first_tick"])
         self._tissues = list(recording_context.library.tissues)
@@ -75,7 +75,7 @@ class EstimateComparator:
             self.result.differences.append("the file continues another one, without which it cannot be equal")
 
     def compare(self, estimates: np.ndarray) -> None:
-        """Estimates of consecutive samples."""
+        """Compare the estimates of consecutive samples."""
         ticks = estimates["tick"] + self._first_tick
         columns = estimate_columns(estimates, self._tissues)
         own = ticks >= self._run_first_tick
@@ -90,7 +90,7 @@ class EstimateComparator:
             at += count
 
     def _seek_tick(self, tick: int) -> bool:
-        """Go to this tick in the recorded estimates; False where there are none for it."""
+        """Go to this tick in the recorded estimates; return False if it has none."""
         while self._recorded is None or int(self._recorded.columns["tick"][-1]) < tick:
             self._recorded = next(self._recorded_pieces, None)
             if self._recorded is None:
@@ -108,7 +108,7 @@ class EstimateComparator:
                 continue
             before, now = recorded.columns[path][begin : begin + count], values[at : at + count]
             differ = before.view(np.uint64) != np.ascontiguousarray(now).view(np.uint64)
-            differ &= ~(np.isnan(before) & np.isnan(now))  # there is one NaN: no value
+            differ &= ~(np.isnan(before) & np.isnan(now))  # any NaN means no value
             if differ.any():
                 names.append(path)
                 unequal |= differ
@@ -126,7 +126,7 @@ def _read_estimates(container: McapFile) -> Iterator[RowBlock]:
 
 
 def find_configuration_differences(container: McapFile, recording_context: RecordingContext) -> list[str]:
-    """What differs between a recording's configuration and this one, as far as it matters for estimates.
+    """Return the differences between a recording's configuration and this one that affect estimates.
 
     Raises:
         RecordingError: the file does not hold its configuration.

@@ -1,4 +1,4 @@
-"""Makes files whole that were cut off: everything up to their last whole chunk, with the summary that they lack."""
+"""Repair of recordings that were cut off: they keep everything up to the last whole chunk, and get a summary."""
 
 import fcntl
 import logging
@@ -21,7 +21,7 @@ TEMPORARY_SUFFIX = ".mending"
 
 
 def recover_folder(folder: Path) -> Iterator[Path]:
-    """Mend every file of a folder that was cut off; those that cannot be stay as they are, and are said in the log."""
+    """Repair every file of a folder that was cut off; log and leave those that cannot be repaired."""
     for leftover in folder.glob(f"*{TEMPORARY_SUFFIX}"):
         leftover.unlink(missing_ok=True)
     for path in sorted(folder.glob("*.mcap")):
@@ -33,11 +33,11 @@ def recover_folder(folder: Path) -> Iterator[Path]:
 
 
 def recover_file(path: Path) -> bool:
-    """Make one file whole; False if it is, or is still being written. It is replaced only by its whole successor.
+    """Replace one file by its repaired copy; return False if it is complete or still being written.
 
     Raises:
-        RecordingError: it is no recording of ours, or damaged.
-        OSError: there is no room for its successor.
+        RecordingError: it is no recording of Graspwatch, or is damaged.
+        OSError: there is no room for the repaired file.
     """
     container = McapFile(path)
     if container.complete or _is_being_written(path):

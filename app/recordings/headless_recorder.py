@@ -1,4 +1,4 @@
-"""The recording of a run without a service: the same file, written by the process that also acquires and estimates."""
+"""Recording of a run without a service, by the process that also acquires and estimates."""
 
 import contextlib
 import time
@@ -26,7 +26,7 @@ FLUSH_SAMPLES = 1_000
 
 
 def create_run(run_id: str, protocol: str, cycles: int, tissue: str | None) -> Run:
-    """A run that begins now."""
+    """Return the description of a run that begins now."""
     return Run(
         id=run_id,
         protocol=protocol,
@@ -42,9 +42,9 @@ def create_run(run_id: str, protocol: str, cycles: int, tissue: str | None) -> R
 
 
 class HeadlessRecorder:
-    """Writes what is taken, and what a viewer would have been told of it. Entered once, before the first block.
+    """Recorder of samples, estimates and the messages that viewers would receive.
 
-    The times in it are those of the sample clock, counted from `started_ns`.
+    It is entered once, before the first block. Its times are those of the sample clock, counted from `started_ns`.
     """
 
     def __init__(
@@ -58,9 +58,9 @@ class HeadlessRecorder:
         metadata: dict[str, str] | None = None,
         discard_on_error: bool = False,
     ) -> None:
-        """`started_ns`: of the first sample, ns since 1970; None: now. `about`: what else is to be known.
+        """`started_ns`: time of the first sample, ns since 1970; None: now. `metadata`: added to the file's.
 
-        With `can_be_repeated`, an error leaves no file behind.
+        With `discard_on_error`, an error leaves no file behind.
         """
         self._path, self._recording_context, self.run, self._protocol = path, recording_context, run, protocol
         self._started_ns = time.time_ns() if started_ns is None else started_ns
@@ -97,14 +97,14 @@ class HeadlessRecorder:
         if error and self._discard_on_error:
             file.abandon()
             self._path.unlink(missing_ok=True)
-        elif isinstance(error, RecordingError):  # there is no room: what was written before can be read
+        elif isinstance(error, RecordingError):  # no room: the part already written is readable
             file.abandon()
         else:
             with self._explain_disk_errors():
                 file.close()
 
     def append(self, block: SampleBlock, estimate: EstimateBlock) -> None:
-        """A block and its estimates.
+        """Write a block and its estimates.
 
         Raises:
             RecordingError: the disk is full or gone.
@@ -127,18 +127,18 @@ class HeadlessRecorder:
         self._translator.process(estimate, at_ms, at_ms)
 
     def add_release_alarm(self, text: str) -> None:
-        """The limiter let the grasp go."""
+        """Record that the limiter released the grasp."""
         with self._explain_disk_errors():
             self._alarms.raise_latched("let-go", AlarmKind.FORCE, text, (self._started_ns + self._now_ns) / 1e6)
 
     def add_interrupted_grasp(self, grasp: GraspRecord | None) -> None:
-        """The grasp that the end cut short, if there is one."""
+        """Record the grasp that the run's end interrupted, if there is one."""
         if grasp and self._last_estimate:
             with self._explain_disk_errors():
                 self._translate(replace(self._last_estimate, ended=(grasp,), alarms=(), withdrawn=()))
 
     def end_run(self, state: RunState, why: str) -> None:
-        """The run is over."""
+        """Record the end of the run."""
         self.run = self.run.model_copy(update={"state": state, "why": why, "ended_at": datetime.now(UTC).isoformat()})
         with self._explain_disk_errors():
             self._write_message(RUN_TOPIC, self.run)
@@ -179,7 +179,7 @@ class HeadlessRecorder:
 
     @contextlib.contextmanager
     def _explain_disk_errors(self) -> Iterator[None]:
-        """What a disk says, as a person is told."""
+        """Convert disk errors to RecordingErrors with a text for the user."""
         try:
             yield
         except OSError as error:

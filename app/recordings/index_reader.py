@@ -1,4 +1,4 @@
-"""What the index of runs wants to know of a recording."""
+"""Readers of recordings for the index of runs."""
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -16,7 +16,7 @@ RecordedMessage = Run | GraspEnded | Alarm | JournalEntry
 
 
 def read_recorded_messages(path: Path) -> Iterator[tuple[str | None, RecordedMessage]]:
-    """What was told while it was recorded, in order, each with the run it belongs to.
+    """Yield the recorded messages in order, each with the id of the recording's run.
 
     Raises:
         RecordingError: the file is damaged from here on.
@@ -34,7 +34,7 @@ def read_recorded_messages(path: Path) -> Iterator[tuple[str | None, RecordedMes
 
 
 def read_file_record(path: Path) -> FileRecord:
-    """The file as a whole; one that cannot be read is a record too."""
+    """Return the record of the file; one that cannot be read gets a record with its problem."""
     stat = path.stat()
     known = FileRecord(
         name=path.name,

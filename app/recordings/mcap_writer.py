@@ -1,4 +1,4 @@
-"""Writes one run to an MCAP file: raw and conditioned samples, estimates, and what was told and done meanwhile."""
+"""Writer of one run's MCAP file: raw and conditioned samples, estimates, messages and journal lines."""
 
 import contextlib
 import fcntl
@@ -29,17 +29,17 @@ from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_rows import estimate_columns, row_layouts
 
 RECORDING_SUFFIX = ".mcap"
-CHUNK_BYTES = 4 * 2**20  # never reached: a chunk ends with each flush
+CHUNK_BYTES = 4 * 2**20  # never reached: each flush ends a chunk
 FLUSH_PERIOD_S = 0.25
-MAX_BLOCKS_PER_FLUSH = 200  # three times as many as come meanwhile
+MAX_BLOCKS_PER_FLUSH = 200  # three times the blocks that arrive between two flushes
 SYNC_TIMEOUT_S = 2.0
-"""So long a disk may take for what a flush gave it, before whoever writes waits for it, and is missed."""
-VERSIONED_PACKAGES = ("numpy", "scipy", "numba", "nidaqmx", "mcap")  # whose versions have a say in what is recorded
+"""Time that a disk may take for a flush; after it, the next flush waits for the disk and the recorder falls silent."""
+VERSIONED_PACKAGES = ("numpy", "scipy", "numba", "nidaqmx", "mcap")  # their versions affect the recorded values
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingContext:
-    """What a recording is made with."""
+    """Configuration that a recording is made with."""
 
     tool: Tool
     library: TissueLibrary
@@ -47,10 +47,10 @@ class RecordingContext:
 
     @classmethod
     def from_file(cls, container: McapFile) -> Self:
-        """What a file was recorded with.
+        """Return the configuration that a file was recorded with.
 
         Raises:
-            RecordingError: it is not in the file, or not as this version describes it.
+            RecordingError: the file lacks it, or this version cannot read it.
         """
         try:
             return cls(
@@ -74,7 +74,7 @@ class RecordingContext:
 
 
 def collect_versions() -> dict[str, str]:
-    """Of Graspwatch, of Python, and of the parts that compute."""
+    """Return the versions of Graspwatch, Python and the computing packages."""
     return {"graspwatch": __version__, "python": platform.python_version(), "machine": platform.machine()} | {
         name: version(name) for name in VERSIONED_PACKAGES
     }
@@ -92,7 +92,7 @@ class _PendingRows:
 
 
 class McapRunWriter:
-    """One file. What was added is on its way to the disk with the next `flush`; `close` makes the file whole."""
+    """Writer of one file. Each `flush` sends added data to the disk; `close` completes the file."""
 
     def __init__(
         self,
@@ -102,21 +102,21 @@ class McapRunWriter:
         attachments: Mapping[str, bytes],
         wall_offset_ns: int,
     ) -> None:
-        """`about`: run id, first tick of the run and the like; `wall_offset_ns`: from `t_mono_ns` to ns since 1970.
+        """`metadata`: run id, first tick of the run and the like; `wall_offset_ns`: from `t_mono_ns` to ns since 1970.
 
         Raises:
-            OSError: it cannot be made; a file of that name is never overwritten.
+            OSError: the file cannot be created; an existing file is never overwritten.
         """
         self.path = path
         self.samples = self.lost_samples = 0
-        self._wall_offset_ns = wall_offset_ns  # taken once: the computer's clock may be set meanwhile
+        self._wall_offset_ns = wall_offset_ns  # constant, because the computer's clock may be set meanwhile
         self._tissues = list(recording_context.library.tissues)
         self._sample_period_ns = 1e9 / recording_context.tool.board.sample_rate_hz
         self._clock_anchor: tuple[int, int] | None = None  # a tick and its time, ns since 1970
         self._file = path.open("xb")
-        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until this process closes it, or dies
+        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until this process closes it or dies
         self._sync_executor = ThreadPoolExecutor(1, "disk")
-        self._sync_future: Future[None] | None = None  # what was last asked of the disk
+        self._sync_future: Future[None] | None = None  # the last sync
         self._sync_started_s = 0.0
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(mcap_layout.PROFILE, f"graspwatch {__version__}")
@@ -155,7 +155,7 @@ class McapRunWriter:
         return self._writer.register_channel(topic, "protobuf", schema)
 
     def add_samples(self, block: SampleBlock) -> None:
-        """Take a block of samples."""
+        """Add a block of samples."""
         read_ns = block.t_mono_ns + self._wall_offset_ns
         if self._clock_anchor is None:
             last_tick = int(block.samples["tick"][-1])
@@ -166,7 +166,7 @@ class McapRunWriter:
         self._add_rows(mcap_layout.CONDITIONED_TOPIC, mcap_layout.conditioned_columns(block), block.sequence, read_ns)
 
     def add_estimates(self, estimates: np.ndarray, sequence: int, published_ns: int) -> None:
-        """Take the estimates of a block; `published_ns` by the monotonic clock."""
+        """Add the estimates of a block; `published_ns` by the monotonic clock."""
         columns = estimate_columns(estimates, self._tissues)
         self._add_rows(mcap_layout.ESTIMATES_TOPIC, columns, sequence, published_ns + self._wall_offset_ns)
 
@@ -177,16 +177,16 @@ class McapRunWriter:
         pending.published_ns.append(published_ns)
 
     def add_message(self, topic: str, content: bytes, at_ns: int) -> None:
-        """Take a JSON message; `at_ns` by the computer's clock."""
+        """Add a JSON message; `at_ns` by the computer's clock."""
         self._writer.add_message(self._message_channels[topic], at_ns, content, at_ns)
 
     def flush(self, *, sync: bool = True) -> None:
-        """Write the oldest of what has been added, so that it outlives this process, and with `sync` soon the computer.
+        """Write the oldest added data, which then outlive this process, and with `sync` soon the computer.
 
-        More than is added between two flushes, but not seconds of it: who writes them is not heard meanwhile.
+        One call writes at most MAX_BLOCKS_PER_FLUSH blocks a topic, so that a backlog does not silence the recorder.
 
         Raises:
-            OSError: the disk is full or gone; perhaps told by a later flush.
+            OSError: the disk is full or gone; a later flush may raise it instead.
         """
         for pending in self._pending.values():
             self._write_rows(pending)
@@ -195,7 +195,7 @@ class McapRunWriter:
             self._sync()
 
     def _sync(self) -> None:
-        """Ask the disk for all that is written, without waiting: a slow one would make a recorder seem to hang."""
+        """Sync the written data in a thread: waiting for a slow disk would make the recorder seem to hang."""
         if self._sync_future:
             if not self._sync_future.done() and time.monotonic() - self._sync_started_s < SYNC_TIMEOUT_S:
                 return
@@ -221,7 +221,7 @@ class McapRunWriter:
         del pending.columns[now], pending.sequences[now], pending.published_ns[now]
 
     def close(self, **end_metadata: str) -> None:
-        """Make the file whole, with how it ended.
+        """Complete the file with the run's end.
 
         Raises:
             OSError: the disk is full or gone; the file is readable up to its last flush.
@@ -240,7 +240,7 @@ class McapRunWriter:
             self.abandon()
 
     def abandon(self) -> None:
-        """Leave the file as it is: readable up to its last flush."""
+        """Close the file without completing it: it is readable up to its last flush."""
         self._sync_executor.shutdown()
-        with contextlib.suppress(OSError):  # what is still in its buffer finds no room
+        with contextlib.suppress(OSError):  # no room for the rest of its buffer
             self._file.close()

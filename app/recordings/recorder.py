@@ -1,4 +1,4 @@
-"""Decides what goes into which file: a run with what came right before and after it."""
+"""The recorder's decisions: one file a run, with the samples right before and after it."""
 
 import contextlib
 import time
@@ -17,9 +17,9 @@ from app.recordings.mcap_writer import FLUSH_PERIOD_S, RECORDING_SUFFIX, McapRun
 from app.recordings.topics import RUN_TOPIC, decode_message, encode_message
 from config.schema import GraspProtocol
 
-RUN_END_TIMEOUT_S = 10.0  # and so long a server that hangs may take to tell what came of the run
-LATE_DATA_GRACE_S = 0.2  # estimates come after their samples, a run's last words after its last sample
-DEMO_ID_PREFIX = "demo-"  # begins the id of a demonstration's run
+RUN_END_TIMEOUT_S = 10.0  # time limit for a hanging server to report a run's end
+LATE_DATA_GRACE_S = 0.2  # estimates come after their samples, and messages of a run after its last sample
+DEMO_ID_PREFIX = "demo-"  # first part of the id of a demonstration's run
 
 
 class RecordingStoppedError(Exception):
@@ -28,7 +28,7 @@ class RecordingStoppedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RunMetadata:
-    """What is known of a run before it begins. `protocol` is its JSON."""
+    """Description of a run before it begins. `protocol` is its JSON."""
 
     run_id: str
     protocol: str
@@ -39,17 +39,15 @@ class RunMetadata:
 
 @dataclass(frozen=True, slots=True)
 class PublishedEstimates:
-    """Estimates of one block of samples."""
-
     sequence: int
     published_ns: int
     estimates: np.ndarray
 
 
 class Recorder:
-    """Give it everything that happens, in its order; it writes a file for each run.
+    """Recorder of samples, estimates and messages, passed in order; it writes a file for each run.
 
-    Every method but `brief` may raise RecordingStoppedError: that file is closed, later runs are recorded again.
+    Every method but `announce_run` may raise RecordingStoppedError: it closes that file, and records later runs again.
     """
 
     def __init__(self, folder: Path, recording_context: RecordingContext) -> None:
@@ -65,25 +63,25 @@ class Recorder:
         self._last_sequence = 0  # of the block written last
         self._recent_blocks: deque[SampleBlock] = deque()
         self._recent_estimates: deque[PublishedEstimates] = deque()
-        self._early_estimates: deque[PublishedEstimates] = deque()  # those of blocks that are still to come
+        self._early_estimates: deque[PublishedEstimates] = deque()  # estimates of blocks that are still to come
         self._announced_run: RunMetadata | None = None
-        self._pending_messages: list[tuple[str, bytes, int]] = []  # since then, until the run begins
+        self._pending_messages: list[tuple[str, bytes, int]] = []  # since the announcement, until the run begins
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._current_run_id = ""
-        self._end_tick: int | None = None  # tick; None while the run goes on
-        self._last_run_message: Run | None = None  # as the server told it last
-        self._acquisition_run_end: Run | None = None  # the same with its end, as the acquisition told it
+        self._end_tick: int | None = None  # None while the run goes on
+        self._last_run_message: Run | None = None  # from the server
+        self._acquisition_run_end: Run | None = None  # the same with the end that the acquisition reported
         self._last_flush_s = 0.0
         self.file: McapRunWriter | None = None
-        self.finished_files: list[Path] = []  # since somebody took them
+        self.finished_files: list[Path] = []  # since the worker last cleared it
 
     def announce_run(self, run_metadata: RunMetadata) -> None:
-        """A run is about to begin."""
+        """Store the description of a run that is about to begin."""
         self._announced_run = run_metadata
         self._pending_messages = []
 
     def add_samples(self, block: SampleBlock) -> None:
-        """A block of samples, and with it the time."""
+        """Add a block of samples; its ticks also start and end the files."""
         if self._recent_blocks and block.sequence <= self._recent_blocks[-1].sequence:  # the acquisition was restarted
             self.close_file("the acquisition worker was restarted")
             self._recent_blocks.clear()
@@ -108,7 +106,7 @@ class Recorder:
         self._flush_if_due()
 
     def add_estimates(self, estimated: PublishedEstimates) -> None:
-        """The estimates of a block, which mostly came before; where much waits, the two come in any order."""
+        """Add a block's estimates, which mostly come before it; in a backlog the order is arbitrary."""
         self._recent_estimates.append(estimated)
         if self.file and estimated.sequence <= self._last_sequence:
             self._write_estimates(estimated)
@@ -120,7 +118,7 @@ class Recorder:
         self.file.add_estimates(estimated.estimates, estimated.sequence, estimated.published_ns)
 
     def add_message(self, topic: str, content: bytes) -> None:
-        """A message of `app/recordings/topics.py`."""
+        """Add a message of a topic of `app/recordings/topics.py`."""
         at_ns = time.monotonic_ns() + self._wall_offset_ns
         if topic == RUN_TOPIC:
             self._last_run_message = Run.model_validate(decode_message(topic, content))
@@ -130,24 +128,24 @@ class Recorder:
             self._pending_messages.append((topic, content, at_ns))
 
     def on_run_ended(self, run_id: str, end: RunState, why: str) -> None:
-        """The acquisition's own words of a run's end, which count where the server hangs and does not tell it."""
+        """Store the acquisition's report of a run's end, for the case that the server hangs and does not send it."""
         if self._last_run_message and self._last_run_message.id == run_id:
             update = {"state": end, "why": why, "ended_at": datetime.now(UTC).isoformat()}
             self._acquisition_run_end = self._last_run_message.model_copy(update=update)
 
     @property
     def _unreported_run_end(self) -> Run | None:
-        """A run's end that the server has not told yet."""
+        """A run's end that the server has not reported yet."""
         told, end = self._last_run_message, self._acquisition_run_end
         return end if told and end and told.id == end.id and told.state is RunState.RUNNING else None
 
     @property
     def _wait_samples(self) -> int:
-        """Samples after the last one of a file, for what is still to be told."""
+        """Number of samples to wait for messages after a file's last sample."""
         return self._run_end_timeout_samples if self._unreported_run_end else self._grace_samples
 
     def close_file(self, why: str = "") -> None:
-        """Make the file whole, if one is being written."""
+        """Complete the file, if one is open."""
         if self.file is None:
             return
         if untold := self._unreported_run_end:
@@ -160,11 +158,11 @@ class Recorder:
         except OSError as error:
             raise self._make_stopped_error(file.path, error) from None
         if file.path.name.startswith(DEMO_ID_PREFIX):
-            with contextlib.suppress(OSError):  # somebody else tidies up, too, or nobody may
+            with contextlib.suppress(OSError):  # another process may delete them, too, or none may
                 self._delete_old_demos()
 
     def _start_file(self, block: SampleBlock) -> None:
-        """A file for the run that begins with this block, with what came right before it."""
+        """Open a file for the run that begins with this block, and write the samples right before it."""
         self._end_tick = None
         if not self._recording_settings.enabled:
             return
@@ -205,12 +203,12 @@ class Recorder:
             self._write_estimates(estimated)
 
     def _find_unused_path(self, run_id: str) -> Path:
-        """A run whose file exists was cut off by this recorder's predecessor: it goes on in the next one."""
+        """Return the run's file name, with a part number if it exists: a recorder before this one was cut off."""
         names = (f"{run_id}{part}{RECORDING_SUFFIX}" for part in ("", *(f"-part{n}" for n in range(2, 1000))))
         return next(path for name in names if not (path := self._folder / name).exists())
 
     def _buffer_block(self, block: SampleBlock) -> None:
-        """Remember the last seconds."""
+        """Keep the last seconds for the next file."""
         self._recent_blocks.append(block)
         oldest = int(block.samples["tick"][-1]) - self._before_samples
         while self._recent_blocks and int(self._recent_blocks[0].samples["tick"][0]) <= oldest:
@@ -246,7 +244,7 @@ class Recorder:
         )
 
     def _delete_old_demos(self) -> None:
-        """Nobody asked for them, and a demonstration goes on all day."""
+        """Delete old recordings of demonstrations, which go on all day without a person's request."""
         shown = sorted(
             self._folder.glob(f"{DEMO_ID_PREFIX}*{RECORDING_SUFFIX}"), key=lambda path: path.stat().st_mtime_ns
         )

@@ -1,4 +1,4 @@
-"""The recorder worker: a process that writes what the bus carries, run by run."""
+"""The recorder worker: the process that writes the bus's samples, estimates and messages, run by run."""
 
 import gc
 import json
@@ -23,7 +23,7 @@ STATUS_PERIOD_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class RecorderSetup:
-    """All that the worker needs to know."""
+    """Parameters of the recorder worker."""
 
     parent_pid: int
     endpoints: bus.Endpoints
@@ -33,10 +33,10 @@ class RecorderSetup:
 
 
 def main(setup: RecorderSetup) -> None:
-    """Run until a signal; first mends what a predecessor left cut off."""
+    """Run until a signal; first repair the files that a previous recorder left cut off."""
     stop = initialize_worker("recorder", setup.parent_pid)
     limit_memory()
-    gc.freeze()  # else it takes all modules apart before it is seen to have failed, which took half a second
+    gc.freeze()  # otherwise collecting all modules at exit delays the notice of a failure by 0.5 s
     context = zmq.Context()
     publisher = bus.open_publisher(context, setup.endpoints.recorder)
     sources = bus.open_subscriber(context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events)
@@ -45,7 +45,7 @@ def main(setup: RecorderSetup) -> None:
 
 
 class _RecorderWorker:
-    """Hands what arrives to the recorder, and tells the server how that goes."""
+    """Dispatcher of received messages to the recorder, and publisher of the recorder's state."""
 
     def __init__(self, setup: RecorderSetup, publisher: zmq.Socket) -> None:
         self._setup, self._publisher = setup, publisher
@@ -56,7 +56,7 @@ class _RecorderWorker:
         self._last_status_s = 0.0
 
     def run(self, sources: zmq.Socket, stop: StopFlag) -> None:
-        """Until told to stop; then the file is made whole."""
+        """Run until the flag is set, then complete the file."""
         for path in recover_folder(self._setup.folder):
             self._publish_notice("mended", file=path.name)
         while not stop.is_set:
@@ -102,7 +102,7 @@ class _RecorderWorker:
                         self._recorder.on_run_ended(notice["run_id"], RunState(notice["end"]), notice["why"])
 
     def _publish_status(self) -> None:
-        """How it stands, which also says that this process is alive."""
+        """Publish the recorder's state, which is also its sign of life."""
         self._last_status_s = time.monotonic()
         for path in self._recorder.finished_files:
             self._publish_notice("recorded", file=path.name)
@@ -121,5 +121,5 @@ class _RecorderWorker:
 
 
 def pack_run_metadata(run_metadata: RunMetadata) -> list[bytes]:
-    """What the server tells before it starts a run."""
+    """Pack a run's description, which the server sends before it starts the run."""
     return bus.pack_notice("brief", **asdict(run_metadata))

@@ -1,4 +1,4 @@
-"""Everything of one recorded run: samples, estimates, grasps, messages."""
+"""Reader of one recorded run: samples, estimates, grasps, messages."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from estimator.estimate_rows import estimate_columns, from_estimate_columns
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """A run's file in memory. `samples` has dtype SAMPLE, `estimates` a row for each of them, `log_ns` their times."""
+    """A run's file in memory: `samples` of dtype SAMPLE_DTYPE, each with estimates and a time, `log_ns`."""
 
     path: Path
     metadata: dict[str, str]
@@ -30,12 +30,13 @@ class RecordedRun:
 
     @property
     def time_s(self) -> np.ndarray:
-        """Since the first sample."""
+        """Time since the first sample, s, shape (n,)."""
         return (self.samples["tick"] - self.samples["tick"][0]) / self.recording_context.tool.board.sample_rate_hz
 
 
 def read_run(path: Path) -> RecordedRun:
-    """
+    """Read a run's file.
+
     Raises:
         RecordingError: it is no recording of a run, or is damaged.
     """
@@ -62,7 +63,7 @@ def read_run(path: Path) -> RecordedRun:
         if not all(rows.values()):
             raise RecordingError(f"{path}: holds no samples; it was cut off before the first second.")
         raw, conditioned, estimated = (concatenate_rows(pieces) for pieces in rows.values())
-        whole = min(len(raw), len(conditioned))  # what was cut off may have lost one before the other
+        whole = min(len(raw), len(conditioned))  # a file that was cut off may have lost one before the other
         samples = mcap_layout.from_columns(
             {name: values[:whole] for name, values in raw.columns.items()},
             {name: values[:whole] for name, values in conditioned.columns.items()},
@@ -76,7 +77,7 @@ def read_run(path: Path) -> RecordedRun:
 
 
 def _align_estimates(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:
-    """A row for each sample: blank where its estimates were lost."""
+    """Return a row for each sample, blank where its estimates were lost."""
     if len(samples) == len(estimates) and (samples["tick"] == estimates["tick"]).all():
         return estimates
     rows = blank_estimates(estimate_dtype(tissues), samples["tick"])
@@ -86,7 +87,7 @@ def _align_estimates(samples: np.ndarray, estimates: np.ndarray, tissues: int) -
 
 
 def build_run_columns(run: RecordedRun) -> dict[str, np.ndarray]:
-    """Every column of it by name, each of shape (n,): time, signals, estimates; SI units, in the names."""
+    """Return all columns by name, each of shape (n,): time, signals, estimates; SI units, in the names."""
     columns: dict[str, np.ndarray] = {"time_s": run.time_s, "utc_ns": run.log_ns}
     columns |= {name: run.samples[name] for name in run.samples.dtype.names}
     estimated = estimate_columns(run.estimates, list(run.recording_context.library.tissues))

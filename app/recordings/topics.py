@@ -1,7 +1,7 @@
-"""The JSON topics of a recording: messages of `app/messages/wire.py`, with schemas that plotting programs understand.
+"""JSON topics of a recording: messages of `app/messages/wire.py`, with schemas that plotting programs understand.
 
-Those programs read JSON schemas without references and with one type a field; so what has no value is left out of a
-message instead of being null.
+Those programs read JSON schemas without references and with one type a field. So a field without a value is left out of
+a message instead of being null.
 """
 
 import json
@@ -29,7 +29,7 @@ _MODEL_TOPICS = {model: topic for topic, model in TOPIC_MODELS.items()}
 
 
 def find_topic(message: BaseModel) -> str | None:
-    """Where a message is recorded; None for what is not."""
+    """Return the topic that a message is recorded under; None if it is not recorded."""
     return _MODEL_TOPICS.get(type(message))
 
 
@@ -38,10 +38,10 @@ def encode_message(message: BaseModel) -> bytes:
 
 
 def decode_message(topic: str, content: bytes) -> BaseModel:
-    """A message as it was before it was written.
+    """Return the message that `encode_message` encoded.
 
     Raises:
-        ValueError: it is not one of this topic.
+        ValueError: it is not a message of this topic.
     """
     try:
         told = json.loads(content)
@@ -53,7 +53,7 @@ def decode_message(topic: str, content: bytes) -> BaseModel:
 
 
 def _restore_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str, Any]:
-    """The message with null for what was left out, also in messages inside."""
+    """Set fields that were left out to null, also in nested messages."""
     result: dict[str, Any] = {name: None for name, field in model.model_fields.items() if field.is_required()}
     for name, value in content.items():
         inner = _find_nested_model(model, name) if isinstance(value, dict) else None
@@ -62,7 +62,7 @@ def _restore_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str,
 
 
 def _find_nested_model(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """The model of a field, if that is one or none."""
+    """Return the field's nested model, or None if it has none."""
     annotation = model.model_fields[name].annotation if name in model.model_fields else None
     for each in (annotation, *get_args(annotation)):
         if isinstance(each, type) and issubclass(each, BaseModel):
@@ -71,7 +71,7 @@ def _find_nested_model(model: type[BaseModel], name: str) -> type[BaseModel] | N
 
 
 def build_json_schema(model: type[BaseModel]) -> bytes:
-    """JSON schema of a model's messages: no references, no nulls."""
+    """Return the JSON schema of a model's messages, without references and nulls."""
     schema = model.model_json_schema(mode="serialization")
     return json.dumps(_simplify_schema(schema, schema.get("$defs", {}))).encode()
 

@@ -1,1 +1,1 @@
-"""What viewers receive, live or from a recording."""
+"""Messages and frames for viewers, live or from a recording."""

@@ -1,4 +1,4 @@
-"""The alarms that are on: raised, changed, acknowledged and ended here, told to the viewers and the journal at once."""
+"""The alarms that are on: raised, changed, acknowledged and ended here, and published and journaled at once."""
 
 from collections.abc import Callable
 
@@ -21,11 +21,11 @@ OVER_THRESHOLD_TEXT = "Force over the injury threshold"
 
 
 class AlarmManager:
-    """At most one alarm a key; its `id` stays the same until it is over.
+    """Manager of at most one alarm a key, whose `id` stays the same until it is over.
 
-    The force alarm follows its cause. When it leaves the high priority and nobody has acknowledged it, the peak stays
-    as an alarm of its own until somebody has; so does everything that is over when it is told, such as a grasp that was
-    let go. An acknowledged alarm that becomes worse is a new one to people: the acknowledgement is taken back.
+    The force alarm follows its cause. When it leaves the high priority unacknowledged, its peak becomes a separate
+    latched alarm. Events that are over when they are reported latch, too, such as a released grasp. An acknowledged
+    alarm that becomes worse has to be acknowledged again.
     """
 
     def __init__(self, publish: Callable[[BaseModel], None], journal: Journal | None = None) -> None:
@@ -38,14 +38,14 @@ class AlarmManager:
         return list(self._alarms.values())
 
     def technical_alarm_texts(self) -> list[str]:
-        """Of those whose cause is there."""
+        """Return the texts of the technical alarms whose cause persists."""
         return [alarm.text for alarm in self._alarms.values() if alarm.kind is AlarmKind.TECHNICAL and alarm.active]
 
     def raise_technical(self, key: str, priority: Priority, text: str, at_ms: float | None = None) -> None:
         self._raise(key, AlarmKind.TECHNICAL, priority, text, at_ms)
 
     def update_force_alarm(self, change: ForceAlarm, at_ms: float | None = None) -> None:
-        """Take a change of the force warning."""
+        """Apply a change of the force warning."""
         if change.priority is None:
             self.end_force_alarm(at_ms)
             return
@@ -58,18 +58,18 @@ class AlarmManager:
         self._raise(FORCE_ALARM_KEY, AlarmKind.FORCE, priority, text, at_ms, change.force_n, change.threshold_n)
 
     def update_peak_force(self, force_n: float | None) -> None:
-        """The force now, N: the alarm's value is its highest."""
+        """Raise the force alarm's value to the present force, N, if that is higher."""
         alarm = self._alarms.get(FORCE_ALARM_KEY)
         if alarm and force_n is not None and alarm.value is not None and force_n > alarm.value:
             self._store(FORCE_ALARM_KEY, alarm.model_copy(update={"value": force_n}))
 
     def end_force_alarm(self, at_ms: float | None = None) -> None:
-        """The force has fallen, or is not followed any more because whoever told of it is gone."""
+        """End the force alarm: the force has fallen, or its source is gone."""
         self._latch_peak_force()
         self.end(FORCE_ALARM_KEY, at_ms)
 
     def _latch_peak_force(self) -> None:
-        """Before the force alarm leaves the high priority."""
+        """Latch the peak of an unacknowledged force alarm that leaves the high priority."""
         alarm = self._alarms.get(FORCE_ALARM_KEY)
         if alarm and alarm.priority is Priority.HIGH and alarm.acknowledged_by is None:
             self.raise_latched(
@@ -85,10 +85,10 @@ class AlarmManager:
         value: float | None = None,
         limit: float | None = None,
     ) -> None:
-        """Something is over when it is told, but somebody has to know of it: a high alarm that latches."""
+        """Raise a latched alarm of high priority for an event that is already over."""
         before = self._alarms.get(key)
         if before and (before.value or 0.0) > (value or 0.0):
-            return  # the highest peak is the one to know of
+            return  # keep the highest peak
         self._raise(key, kind, Priority.HIGH, text, at_ms, value, limit, latched=True)
         self.end(key)
 
@@ -129,18 +129,18 @@ class AlarmManager:
             self._write_journal_entry(JournalKind.ALARM, alarm, f"{priority.value.capitalize()} alarm: {text}")
 
     def end(self, key: str, at_ms: float | None = None) -> None:
-        """The cause is gone."""
+        """End an alarm, whose cause is gone; a latched one stays."""
         alarm = self._alarms.get(key)
         if alarm and alarm.active:
             alarm = self._store(key, alarm.model_copy(update={"active": False, "ended_ms": _time_or_now_ms(at_ms)}))
             self._write_journal_entry(JournalKind.ALARM, alarm, f"Over: {alarm.text}")
 
     def find_key(self, alarm_id: str) -> str | None:
-        """Of an alarm that is on."""
+        """Return the key of an alarm that is on, or None."""
         return next((key for key, alarm in self._alarms.items() if alarm.id == alarm_id), None)
 
     def check_acknowledgeable(self, alarm_id: str, seen_priority: Priority) -> str:
-        """The key of an alarm that may be acknowledged by whoever has `seen` it at that priority.
+        """Return the alarm's key if a person who saw it at `seen_priority` may acknowledge it.
 
         Raises:
             RefusedError: there is no such alarm any more, or it is worse by now.
@@ -154,10 +154,10 @@ class AlarmManager:
         return key
 
     def acknowledge(self, alarm_id: str, seen_priority: Priority, by: str) -> Alarm:
-        """Somebody has seen it; an alarm whose cause is gone is over with that.
+        """Acknowledge an alarm for a person; it is over if its cause is gone.
 
         Raises:
-            RefusedError: there is no such alarm any more, or it is worse by now than what was `seen`.
+            RefusedError: there is no such alarm any more, or its priority is higher than `seen_priority` by now.
         """
         key = self.check_acknowledgeable(alarm_id, seen_priority)
         alarm = self._alarms[key].model_copy(update={"acknowledged_by": by, "latched": False})

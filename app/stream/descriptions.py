@@ -1,4 +1,4 @@
-"""What viewers are told of the tool, the library and the frames' columns."""
+"""Descriptions of the tool, the library and the frames' columns for viewers."""
 
 from datetime import date
 
@@ -21,7 +21,7 @@ from config.service_plan import ServicePlan
 
 
 def build_hello(plan: ServicePlan, tool: Tool, *, recording: bool = False) -> Hello:
-    """The first message to a viewer of `tool`, or of a recording of it."""
+    """Return the first message to a viewer of `tool`, or of a recording of it."""
     library, shares = plan.library, plan.settings.warnings
     return Hello(
         version=__version__,

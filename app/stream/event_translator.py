@@ -1,4 +1,4 @@
-"""What an estimate block means to viewers: identification, withdrawn names, force alarms and finished grasps."""
+"""Translation of estimate blocks into messages: identification, withdrawn names, force alarms, finished grasps."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -15,7 +15,7 @@ IDENTIFICATION_RATE_HZ = 10.0
 
 
 class EventTranslator:
-    """Follows one source's estimate blocks."""
+    """Translator of one source's estimate blocks."""
 
     def __init__(
         self,
@@ -31,13 +31,13 @@ class EventTranslator:
         self._publish = publish
         self._on_grasp = on_grasp
         self._published_tick = 0
-        self._force_warnings: list[Priority] = []  # warnings of the grasp under way, the highest of each rise
+        self._force_warnings: list[Priority] = []  # of the grasp under way, the highest of each rise
         self._rising = False
         self._held_back = False
         self.identification: Identification | None = None
 
     def process(self, block: EstimateBlock, at_ms: float, sampled_ms: float) -> None:
-        """Tell what is new in a block that is told at `at_ms` and whose last sample was taken at `sampled_ms`."""
+        """Publish the news of a block at `at_ms`; its last sample was taken at `sampled_ms`."""
         for record in block.ended:
             self._end_grasp(record)
         self._publish_identification(block, at_ms)
@@ -50,7 +50,7 @@ class EventTranslator:
             self._alarms.update_force_alarm(alarm, sampled_ms)
 
     def _publish_identification(self, block: EstimateBlock, at_ms: float) -> None:
-        """At every change, and ten times a second during a grasp."""
+        """Publish the identification at every change, and ten times a second during a grasp."""
         message = Identification(server_time_ms=at_ms, **shallow_asdict(block.identification))
         before, self.identification = self.identification, message
         if message.holding_back and not self._held_back:

@@ -23,7 +23,7 @@ SD_COLUMNS = ("log_alpha_sd", "log_beta_sd", "log_damping_sd")  # of the natural
 
 
 def build_channels(tissues: list[str]) -> list[ChannelInfo]:
-    """The columns of a frame in their order."""
+    """Return the columns of a frame in their order."""
     common = [ChannelInfo(name=name, unit=unit) for name, unit in {**SAMPLE_COLUMNS, **ESTIMATE_COLUMNS}.items()]
     of_tissue = TISSUE_COLUMNS | dict.fromkeys(SD_COLUMNS, "")
     each = [ChannelInfo(name=name, unit=unit, tissue=tissue) for tissue in tissues for name, unit in of_tissue.items()]
@@ -31,7 +31,7 @@ def build_channels(tissues: list[str]) -> list[ChannelInfo]:
 
 
 def build_frame_columns(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:
-    """Float32 columns, (channels, n), of samples and their estimates."""
+    """Return float32 columns, (channels, n), of samples and their estimates."""
     rows = [samples[name] for name in SAMPLE_COLUMNS] + [estimates[name] for name in ESTIMATE_COLUMNS]
     for k in range(tissues):
         rows += [estimates[name][:, k] for name in TISSUE_COLUMNS]
@@ -40,7 +40,7 @@ def build_frame_columns(samples: np.ndarray, estimates: np.ndarray, tissues: int
 
 
 def pack_frame(kind: FrameKind, sequence: int, first_tick: int, newest_ms: float, columns: np.ndarray) -> bytes:
-    """One binary frame, see app/messages/wire.py."""
+    """Pack one binary frame, see app/messages/wire.py."""
     header = FRAME_HEADER.pack(
         FRAME_MAGIC, FRAME_KINDS[kind], 1, len(columns), columns.shape[1], sequence, float(first_tick), newest_ms
     )
@@ -48,7 +48,7 @@ def pack_frame(kind: FrameKind, sequence: int, first_tick: int, newest_ms: float
 
 
 class FrameBuffer:
-    """Collects columns until the next frame is cut, and keeps the last seconds for those who come later."""
+    """Buffer of columns until the next frame is cut, and of the last seconds for viewers that come later."""
 
     def __init__(self, history_samples: int) -> None:
         self._history_samples = history_samples
@@ -63,7 +63,7 @@ class FrameBuffer:
         self._newest_ms = newest_ms
 
     def cut_frames(self) -> list[bytes]:
-        """Frames of what came since the last cut: one, or several where ticks are missing in between."""
+        """Return frames of the columns since the last cut: one, or several around missing ticks."""
         joined, self._pending = _join_consecutive(self._pending), []
         for first_tick, columns in joined:
             if self._history and first_tick < self._history[-1][0]:  # a new source counts from zero again
@@ -76,7 +76,7 @@ class FrameBuffer:
         return [self._pack(FrameKind.LIVE, first_tick, columns) for first_tick, columns in joined]
 
     def history_frames(self) -> list[bytes]:
-        """The last seconds as frames."""
+        """Return the last seconds as frames."""
         return [
             self._pack(FrameKind.HISTORY, tick, columns) for tick, columns in _join_consecutive(list(self._history))
         ]

@@ -1,4 +1,4 @@
-"""Puts samples and their estimates together, whichever came first."""
+"""Alignment of samples and their estimates, in whichever order they arrive."""
 
 import time
 from collections import deque
@@ -11,22 +11,21 @@ from app.stream.frames import FrameBuffer, build_frame_columns
 from estimator.estimate_block import EstimateBlock, blank_estimates, estimate_dtype
 
 MAX_PENDING_ESTIMATES = 400  # blocks: two seconds
-ESTIMATES_TIMEOUT_S = 0.1  # samples are shown without estimates when these take longer
+ESTIMATES_TIMEOUT_S = 0.1  # after it, samples are shown without estimates
 
 
 class SampleAligner:
-    """Fills a frame buffer; samples go without estimates when theirs are late."""
+    """Aligner that fills a frame buffer; samples whose estimates are late go without them."""
 
     def __init__(self, frames: FrameBuffer, tissues: int) -> None:
         self._frames = frames
         self._tissues = tissues
-        self._pending_blocks: deque[tuple[float, SampleBlock]] = (
-            deque()
-        )  # when it came, s; its estimates are still to come
-        self._pending_estimates: dict[int, np.ndarray] = {}  # estimates whose samples are still to come
+        # Blocks that wait for their estimates, with their time of arrival, s.
+        self._pending_blocks: deque[tuple[float, SampleBlock]] = deque()
+        self._pending_estimates: dict[int, np.ndarray] = {}  # estimates that wait for their samples
 
     def reset(self) -> None:
-        """The acquisition was restarted: its blocks are counted from the beginning again."""
+        """Forget waiting estimates after a restart of the acquisition, whose block numbers begin anew."""
         self._pending_estimates.clear()
 
     def add_samples(self, block: SampleBlock) -> None:
@@ -38,7 +37,7 @@ class SampleAligner:
         self.align()
 
     def align(self) -> None:
-        """Hand on what is complete, and what has waited too long."""
+        """Pass on blocks with their estimates, and blocks that have waited too long."""
         while self._pending_blocks:
             came_s, block = self._pending_blocks[0]
             estimates = self._pending_estimates.pop(block.sequence, None)

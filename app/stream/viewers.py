@@ -1,4 +1,4 @@
-"""Viewers, of `/api/live` and of replays: each with its own queues, so that a slow one disturbs nobody."""
+"""Viewers of `/api/live` and of replays, each with its own queues, so that a slow one does not delay the others."""
 
 import asyncio
 from collections import deque
@@ -9,9 +9,9 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from app.messages.wire import FRAME_HEADER, FrameReceived, ReplayControl
 
-MAX_QUEUED_MESSAGES = 2_000  # a viewer that leaves more unread is dead: it is disconnected, messages are never dropped
+MAX_QUEUED_MESSAGES = 2_000  # messages are never dropped: a viewer with more unread is disconnected
 SEQUENCE_FIELD_INDEX = 5  # of FRAME_HEADER
-MAX_QUEUED_FRAMES = 30  # a second of frames; the oldest go first
+MAX_QUEUED_FRAMES = 30  # a second of frames; the oldest are dropped first
 LIVE_VIEWER_MESSAGE: TypeAdapter[FrameReceived] = TypeAdapter(FrameReceived)
 REPLAY_VIEWER_MESSAGE: TypeAdapter[FrameReceived | ReplayControl] = TypeAdapter(FrameReceived | ReplayControl)
 
@@ -19,7 +19,7 @@ REPLAY_VIEWER_MESSAGE: TypeAdapter[FrameReceived | ReplayControl] = TypeAdapter(
 class Viewer:
     """One connection. Messages wait in order; sample frames wait in a short queue that drops its oldest.
 
-    With `obey` it is a replay's, which takes the viewer's wishes and waits for it: nothing is dropped.
+    With `on_control` it is a replay's viewer: it may send controls, and no frame is dropped.
     """
 
     def __init__(
@@ -37,12 +37,10 @@ class Viewer:
 
     @property
     def has_sent_all_messages(self) -> bool:
-        """Whether it was sent all messages."""
         return not self._messages
 
     @property
     def has_sent_everything(self) -> bool:
-        """Whether it was sent everything."""
         return not self._messages and not self._frames
 
     def send(self, message: str) -> None:
@@ -57,16 +55,16 @@ class Viewer:
         self._wake_up.set()
 
     def drop_frames(self) -> None:
-        """Those that wait are out of date."""
+        """Drop the waiting frames, which are out of date."""
         self._frames.clear()
 
     def close(self, code: int, reason: str) -> None:
-        """Close the connection after the messages that wait. The first call counts; a reason has up to 123 bytes."""
+        """Close the connection after the waiting messages. The first call counts; a reason has up to 123 bytes."""
         self._close_request = self._close_request or (code, reason)
         self._wake_up.set()
 
     async def serve(self) -> None:
-        """Send and receive until the viewer leaves, or cannot follow any more."""
+        """Send and receive until the viewer leaves or is too slow."""
         tasks = [asyncio.create_task(self._receive()), asyncio.create_task(self._transmit())]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -114,7 +112,7 @@ class Viewer:
 
 
 class ViewerHub:
-    """All viewers."""
+    """All viewers of the live stream."""
 
     def __init__(self, window_frames: int) -> None:
         self._window_frames = window_frames
@@ -130,7 +128,7 @@ class ViewerHub:
             viewer.send_frame(frame)
 
     async def serve_viewer(self, socket: WebSocket, initial_messages: list[BaseModel], history: list[bytes]) -> None:
-        """Serve one viewer until it leaves: first the greeting and the last seconds, then what comes."""
+        """Serve one viewer until it leaves: initial messages and history first, then the live stream."""
         viewer = Viewer(socket, self._window_frames)
         for message in initial_messages:
             viewer.send(message.model_dump_json())

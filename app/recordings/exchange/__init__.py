@@ -1,1 +1,1 @@
-"""Other programs' files: what comes in, and what goes out."""
+"""Exchange with other programs: import and export."""

@@ -1,4 +1,4 @@
-"""A recorded run for other programs: CSV, Parquet, MATLAB, or its MCAP file as it is."""
+"""Export of a recorded run as CSV, Parquet or MATLAB file, or as its unchanged MCAP file."""
 
 import json
 import shutil
@@ -16,17 +16,17 @@ from app.recordings.exchange.export_formats import ExportFormat
 from app.recordings.run_reader import RecordedRun, build_run_columns, read_run
 from config.errors import RecordingError
 
-MAX_MAT_VARIABLE_BYTES = 2**31  # of one variable in MATLAB's format of version 5
+MAX_MAT_VARIABLE_BYTES = 2**31  # limit of MATLAB's format of version 5
 
 
 def export_run(source: Path, target: Path, export_format: ExportFormat) -> list[Path]:
-    """Write a run's file as another; returns what was written, complete or not at all.
+    """Write a run's file in another format, complete or not at all; return the written files.
 
-    CSV and Parquet hold a row for each sample, and beside it a file `…-grasps` with a row for each grasp; a MATLAB file
-    holds both as structures. Column names carry their units; there is no value where a cell is empty (CSV) or NaN.
+    CSV and Parquet have a row for each sample, and a second file `…-grasps` with a row for each grasp. A MATLAB file
+    holds both as structures. Column names carry their units; a missing value is an empty cell (CSV) or NaN.
 
     Raises:
-        RecordingError: the source cannot be read, the target exists or cannot be written.
+        RecordingError: the source cannot be read, or the target exists or cannot be written.
     """
     grasps = target.with_name(f"{target.stem}-grasps{target.suffix}")
     targets = [target, grasps] if export_format in (ExportFormat.CSV, ExportFormat.PARQUET) else [target]
@@ -36,7 +36,7 @@ def export_run(source: Path, target: Path, export_format: ExportFormat) -> list[
     provisional = {path: path.with_name(f".{path.name}.part") for path in targets}
     try:
         if export_format is ExportFormat.MCAP:
-            McapFile(source)  # says what is wrong with it
+            McapFile(source)  # raises if the file cannot be read
             shutil.copyfile(source, provisional[target])
         else:
             run = read_run(source)
@@ -65,7 +65,7 @@ def _build_sample_table(run: RecordedRun) -> pa.Table:
 
 
 def _build_grasp_rows(run: RecordedRun) -> list[dict[str, object]]:
-    """Grasps with one value a cell: what is told of each tissue gets a column of its own."""
+    """Return the grasps with one value a cell: each tissue's value gets its own column."""
     rows = []
     for grasp in run.grasps:
         row: dict[str, object] = {}
@@ -86,7 +86,7 @@ def _write_csv(run: RecordedRun, samples: Path, grasps: Path) -> None:
 
 
 def _nan_to_null(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """An empty cell in place of NaN."""
+    """Replace NaN by an empty cell."""
     if not pa.types.is_floating(column.type):
         return column
     return pa.chunked_array([pa.array(chunk.to_numpy(), from_pandas=True) for chunk in column.chunks])
@@ -105,7 +105,7 @@ def _write_mat(run: RecordedRun, target: Path) -> None:
     names = list(dict.fromkeys(name for row in rows for name in row))
     grasps = {name[:63]: _to_matlab_column([row.get(name) for row in rows]) for name in names}
     about = {key: value for key, value in _build_metadata(run).items() if value}
-    with target.open("wb") as file:  # given a name, scipy would add an ending to it
+    with target.open("wb") as file:  # with a name instead, scipy would append a suffix
         scipy.io.savemat(
             file,
             {
@@ -119,7 +119,7 @@ def _write_mat(run: RecordedRun, target: Path) -> None:
 
 
 def _to_matlab_column(values: list[object]) -> np.ndarray:
-    """A column of numbers, NaN where there is none; or of texts, as cells."""
+    """Return a column of numbers, NaN where there is none, or of texts, as cells."""
     if all(isinstance(value, int | float | None) for value in values):
         return np.array([np.nan if value is None else float(value) for value in values])
     cells = np.empty(len(values), object)

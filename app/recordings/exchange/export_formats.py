@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class ExportFormat(StrEnum):
-    """What an export is written as."""
+    """File format of an export."""
 
     CSV = "csv"
     PARQUET = "parquet"

@@ -1,4 +1,4 @@
-"""A LabVIEW log becomes a recording like any other: its samples, what is estimated of them, and where they are from."""
+"""Import of a LabVIEW log as a recording, with its samples, estimates and origin."""
 
 import hashlib
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from app.recordings.mcap_writer import RECORDING_SUFFIX, RecordingContext
 from config.errors import RecordingError
 from estimator.online_estimator import TissueEstimator
 
-IMPORTED_PROTOCOL = "imported"  # what was commanded stands in the samples
+IMPORTED_PROTOCOL = "imported"  # the commands are in the samples
 
 
 def import_labview(
@@ -24,13 +24,13 @@ def import_labview(
     tissue: str | None,
     progress: Callable[[float], None],
 ) -> Path:
-    """Write the recording of a LabVIEW log into `folder`; returns its file.
+    """Write the recording of a LabVIEW log into `folder`; return its file.
 
-    `rig.tool` names its channels and their calibration.
+    `recording_context.tool` names the log's channels and their calibration.
 
     Raises:
-        RecordingError: it cannot be read (names file and line), is no LabVIEW log, was imported before, or there is no
-            room.
+        RecordingError: it cannot be read (the text names file and line), is no LabVIEW log, was imported before, or
+            there is no room.
     """
     path = folder / (_name_without_suffixes(source) + RECORDING_SUFFIX)
     recording = RecordingSource(source, recording_context.tool)

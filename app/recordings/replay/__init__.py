@@ -1,1 +1,1 @@
-"""Recordings watched again: which there are, what they show, and one viewer's playing of them."""
+"""Replay of recordings to viewers."""

@@ -1,4 +1,4 @@
-"""Makes a recording's film: the same pipeline, estimation and words as of a live tool, written instead of sent."""
+"""Builder of a recording's replay cache, with the same conditioning, estimation and messages as for a live tool."""
 
 import shutil
 from collections.abc import Callable, Iterator
@@ -21,23 +21,23 @@ from config.errors import ServiceError
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_block import EstimateBlock, GraspRecord
 
-MESSAGE_INTERVAL_TICKS = 20  # ticks: finer than a frame; as fine as a live tool's blocks (5) takes half as long again
+MESSAGE_INTERVAL_TICKS = 20  # shorter than a frame's; a live tool's blocks (5) take 1.5 times as long
 PROGRESS_STEP = 0.01
-RESERVED_DISK_SHARE = 0.5  # of the free disk: a live tool's recordings need it more
+RESERVED_DISK_SHARE = 0.5  # of the free disk, kept for recordings of a live tool
 
 
 def build_replay_cache(
     send: Callable[[float], None], path: Path, tool: Tool, library: TissueLibrary, settings: Settings, folder: Path
 ) -> None:
-    """Estimate a recording and write its film into `folder`; tells the share done.
+    """Estimate a recording and write its replay cache into `folder`; send the share done.
 
-    `tool`: of recordings that do not say with which they were made.
+    `tool`: for recordings that do not hold their tool.
 
     Raises:
-        RecordingError: it cannot be read; names file and line.
-        ServiceError: there is not enough room for the film.
+        RecordingError: it cannot be read; the text names file and line.
+        ServiceError: there is not enough room for the cache.
     """
-    from estimator.online_estimator import TissueEstimator  # with the compiler, which the server does not need
+    from estimator.online_estimator import TissueEstimator  # imports the compiler, which the server does not need
 
     recording = open_recording(path, tool)
     tool = recording.tool
@@ -70,9 +70,9 @@ def _check_disk_space(folder: Path, needed_bytes: int) -> None:
 
 
 def _split_block(block: SampleBlock) -> Iterator[SampleBlock]:
-    """Pieces of a block, so that what changes is told in time; cut where the estimator steps in any case.
+    """Split a block at multiples of MESSAGE_INTERVAL_TICKS, where the estimator steps in any case.
 
-    What was lost was lost before the first.
+    Lost samples count for the first piece.
     """
     edges = np.flatnonzero(np.diff(block.samples["tick"] // MESSAGE_INTERVAL_TICKS)) + 1
     lost_samples = block.lost_samples
@@ -82,7 +82,7 @@ def _split_block(block: SampleBlock) -> Iterator[SampleBlock]:
 
 
 class _ReplayCacheWriter:
-    """Writes a film block by block; in memory it keeps only where everything is."""
+    """Writer of a replay cache, block by block; it keeps only the index in memory."""
 
     def __init__(self, samples: BinaryIO, told: BinaryIO, tool: Tool, library: TissueLibrary) -> None:
         self._sample_file, self._message_file = samples, told
@@ -109,7 +109,7 @@ class _ReplayCacheWriter:
         self._last_estimate = estimate
 
     def finish(self, cut_short: GraspRecord | None) -> None:
-        """The recording's end, with the grasp that it cut short."""
+        """Write the grasp that the recording's end interrupted, if there is one."""
         if cut_short and self._last_estimate:
             self._translate(replace(self._last_estimate, ended=(cut_short,), alarms=(), withdrawn=()))
 
@@ -133,7 +133,7 @@ class _ReplayCacheWriter:
                 kind = MessageKind.GRASP
             case Alarm():
                 kind = MessageKind.ALARM if message.active or message.latched else MessageKind.ALARM_OVER
-                alarm_id = f"replay-{message.id}"  # never to be taken for one of the live tool
+                alarm_id = f"replay-{message.id}"  # distinguishes it from the live tool's alarms
                 message = message.model_copy(update={"id": alarm_id})
         self._bytes += self._message_file.write(message.model_dump_json().encode())
         self._messages.append((self._tick, kind, self._bytes))

@@ -1,4 +1,4 @@
-"""The films of the last few recordings: made when somebody asks, each once, shared by its viewers."""
+"""Store of replay caches: each is built on request, once, and shared by its viewers."""
 
 import asyncio
 import contextlib
@@ -18,14 +18,14 @@ from config.service_plan import ServicePlan
 RETRY_ADVICE = "Open it again."
 MAX_CACHES = 4
 FOLDER_PREFIX = ".film-"
-STALE_FOLDER_AGE_S = 3600.0  # no film takes as long: it is of a service that was killed
+STALE_FOLDER_AGE_S = 3600.0  # no build takes as long: it is of a service that was killed
 
 CacheKey = tuple[Path, int, int]
 
 
 @dataclass(slots=True)
 class ReplayCacheEntry:
-    """A film that is there or on its way, and how many watch it."""
+    """A replay cache that is built or being built, and the number of its viewers."""
 
     build_task: "asyncio.Task[ReplayCache]"
     prepared_share: float = 0.0  # share of the recording that has been estimated
@@ -37,11 +37,11 @@ class ReplayCacheEntry:
 
 
 class ReplayCacheStore:
-    """One is made at a time, in a process of its own; a file that has changed is a recording of its own."""
+    """Store that builds one cache at a time, in a separate process; a changed file gets another cache."""
 
     def __init__(self, plan: ServicePlan) -> None:
         self._plan = plan
-        self._entries: dict[CacheKey, ReplayCacheEntry] = {}  # the one that was asked for last comes last
+        self._entries: dict[CacheKey, ReplayCacheEntry] = {}  # the last requested one comes last
         self._build_lock = asyncio.Lock()
         for folder in plan.data_folder.glob(f"{FOLDER_PREFIX}*"):
             if time.time() - folder.stat().st_mtime > STALE_FOLDER_AGE_S:
@@ -49,15 +49,15 @@ class ReplayCacheStore:
 
     @property
     def viewers(self) -> int:
-        """Of all films."""
+        """Number of viewers of all caches."""
         return sum(showing.viewers for showing in self._entries.values())
 
     def is_watched(self, path: Path) -> bool:
-        """Whether somebody watches a recording's film."""
+        """Return whether a recording has viewers."""
         return any(showing.viewers for (film_of, _, _), showing in self._entries.items() if film_of == path)
 
     def discard(self, path: Path) -> None:
-        """Let go of a recording's films that nobody watches, and of the room they take."""
+        """Discard a recording's caches without viewers, and free their disk space."""
         for key, showing in list(self._entries.items()):
             if key[0] == path and not showing.viewers:
                 showing.build_task.cancel()
@@ -65,7 +65,7 @@ class ReplayCacheStore:
 
     @contextlib.contextmanager
     def open_entry(self, path: Path) -> Iterator[ReplayCacheEntry]:
-        """Be a viewer of a recording's film; it is made if need be, and no further when nobody waits for it any more.
+        """Yield a recording's cache entry for one more viewer; a build is canceled when its last viewer leaves.
 
         Raises:
             RecordingError: there is no such file.
@@ -87,7 +87,7 @@ class ReplayCacheStore:
             self._evict()
 
     def _evict(self) -> None:
-        """Let go of films that nobody waits for, failed ones, and the oldest of too many."""
+        """Discard unfinished and failed caches without viewers, and the oldest of too many."""
         unwatched = [key for key, showing in self._entries.items() if not showing.viewers]
         for key in unwatched:
             showing = self._entries[key]
@@ -108,10 +108,10 @@ class ReplayCacheStore:
                 await run_in_background_process(
                     "film", build_replay_cache, *asked, on_message=prepared, advice=RETRY_ADVICE
                 )
-                return ReplayCache.open(Path(folder))  # on the disk until nobody watches it: its files need no names
+                return ReplayCache.open(Path(folder))  # its open files stay until the last viewer leaves
 
     async def aclose(self) -> None:
-        """End what is being made."""
+        """Cancel all builds."""
         films = [showing.build_task for showing in self._entries.values()]
         for film in films:
             film.cancel()

@@ -1,4 +1,4 @@
-"""One viewer's replay of a recording: plays its film, with pause, seek and speed, apart from everybody else's."""
+"""One viewer's replay of a recording: plays its cache with pause, seek and speed of its own."""
 
 import asyncio
 import time
@@ -20,14 +20,14 @@ from config.service_plan import ServicePlan
 
 POSITION_PERIOD_S = 0.1
 STATE_PERIOD_S = 1.0
-MAX_CATCH_UP_S = 0.25  # a replay does not make up for more, whether the viewer or the server was slow
+MAX_CATCH_UP_S = 0.25  # a longer delay, of the viewer or the server, is not made up for
 NO_CONTROL = ReplayControl()
-REFUSED_CLOSE_CODE, FAILED_CLOSE_CODE = 1008, 1011  # codes of a close
+REFUSED_CLOSE_CODE, FAILED_CLOSE_CODE = 1008, 1011  # WebSocket close codes
 MAX_REASON_BYTES = 120  # of a close; the protocol allows 123
 
 
 class ReplayPlayer:
-    """Shows a film to a viewer, turn by turn, and no faster than it follows."""
+    """Player of a replay cache for one viewer, never faster than the viewer receives."""
 
     def __init__(
         self, plan: ServicePlan, name: str, cache_entry: ReplayCacheEntry, cache: ReplayCache, viewer: Viewer
@@ -35,12 +35,12 @@ class ReplayPlayer:
         self._plan, self._name, self._cache_entry, self._cache, self._viewer = plan, name, cache_entry, cache, viewer
         self._playhead = Playhead(cache.end_tick, cache.rate_hz)
         self._seek_pending = True
-        self._unplayed_s = 0.0  # time that has passed and was not played yet
+        self._unplayed_s = 0.0  # elapsed time that is not played yet
         self._position_due_s = self._state_due_s = 0.0
         self._sequence = 0
 
     def step(self, now_s: float, elapsed_s: float, control: ReplayControl) -> None:
-        """Obey, then show what is due; `now_s` is of `time.monotonic`, `elapsed_s` since the last turn."""
+        """Apply the control and send the data due; `now_s` by `time.monotonic`, `elapsed_s` since the last call."""
         reads, changed = self._viewer.has_sent_all_messages, control != NO_CONTROL
         if changed:
             self._seek_pending |= self._playhead.apply_control(control)
@@ -60,7 +60,7 @@ class ReplayPlayer:
             self._send(self._build_state())
 
     def _send_initial_messages(self) -> None:
-        """What somebody gets who comes at this moment."""
+        """Send the messages and frames that a viewer needs at this position."""
         shown, film = self._playhead.shown_tick, self._cache
         self._viewer.drop_frames()
         greeting = build_hello(self._plan, self._cache.tool, recording=True)
@@ -87,7 +87,7 @@ class ReplayPlayer:
 
     @property
     def _position_ms(self) -> float:
-        """The clock of a replay is its position."""
+        """Time of the replay: its position, ms."""
         return self._playhead.position_s * 1e3
 
     def _build_replay_state(self) -> ReplayState:
@@ -124,7 +124,7 @@ class ReplayPlayer:
 
 
 class ReplayConnection:
-    """A connection that waits for a film and then plays it."""
+    """A connection that waits for a replay cache and then plays it."""
 
     def __init__(self, plan: ServicePlan, name: str, cache_entry: ReplayCacheEntry, socket: WebSocket) -> None:
         self._plan, self._name, self._cache_entry = plan, name, cache_entry
@@ -132,11 +132,11 @@ class ReplayConnection:
         self._pending_control = NO_CONTROL
 
     def _on_control(self, control: ReplayControl) -> None:
-        """Keep what is wanted until the next turn; of two wishes for the same thing the later one counts."""
+        """Merge the control into that of the next turn; of two values for one field the later one counts."""
         self._pending_control = self._pending_control.model_copy(update=control.model_dump(exclude_none=True))
 
     async def serve(self) -> None:
-        """Until the viewer leaves."""
+        """Serve the viewer until it leaves."""
         playing = asyncio.create_task(self._run())
         try:
             await self._viewer.serve()
@@ -155,7 +155,7 @@ class ReplayConnection:
             self._viewer.close(FAILED_CLOSE_CODE, "the replay failed inside")
 
     async def _wait_for_cache(self) -> ReplayCache:
-        """The film, once it is there; the viewer is told how far it is."""
+        """Return the cache once it is built; meanwhile, send the viewer the share done."""
         while not self._cache_entry.build_task.done():
             state = ReplayState(
                 name=self._name,
@@ -180,11 +180,11 @@ class ReplayConnection:
             wanted, self._pending_control = self._pending_control, NO_CONTROL
             player.step(now_s, now_s - turned_s, wanted)
             turned_s = now_s
-            due_s = max(due_s + period_s, now_s)  # what was missed is not made up for turn by turn
+            due_s = max(due_s + period_s, now_s)  # late turns are skipped
             await asyncio.sleep(due_s - time.monotonic())
 
 
 def close_with_error(viewer: Viewer, error: GraspwatchError) -> None:
-    """Say what is wrong, and close: with as much of the text as a close can carry."""
+    """Send the error's text and close, with as much of the text as a close can carry."""
     viewer.send(EventMessage(server_time_ms=0.0, text=str(error)).model_dump_json())
     viewer.close(REFUSED_CLOSE_CODE, str(error).encode()[:MAX_REASON_BYTES].decode(errors="ignore"))

@@ -1,15 +1,15 @@
-"""Where a replay is, and which ticks it shows next. Pure: it is told how much time has passed."""
+"""Position of a replay, and the ticks that it shows next. Pure: the caller passes the elapsed time."""
 
 from dataclasses import dataclass, field
 
 from app.messages.wire import ReplayControl
 
-ROUNDING_TICKS = 1e-6  # ticks: a position in seconds is meant to be a whole one
+ROUNDING_TICKS = 1e-6  # a position in seconds stands for a whole tick
 
 
 @dataclass(slots=True)
 class Playhead:
-    """`shown` is the tick up to which everything has been shown; it only jumps where `obey` says so."""
+    """`shown_tick` is the tick up to which everything has been shown; it jumps only in `apply_control`."""
 
     end_tick: int
     rate_hz: float
@@ -23,7 +23,7 @@ class Playhead:
         return self.end_tick / self.rate_hz
 
     def apply_control(self, control: ReplayControl) -> bool:
-        """Take a viewer's wish; returns whether it is somewhere else now. To play at the end is to begin anew."""
+        """Apply a viewer's control; return whether the position jumped. Playing at the end starts at the beginning."""
         if control.speed is not None:
             self.speed = control.speed
         jump_s = control.position_s
@@ -37,7 +37,7 @@ class Playhead:
         return jump_s is not None
 
     def advance(self, elapsed_s: float) -> tuple[int, int]:
-        """Go on; returns the ticks to be shown now: from the first on, before the second. It pauses at the end."""
+        """Advance and return the ticks to show now, from the first on, before the second; pause at the end."""
         begin = self.shown_tick
         if self.playing:
             self.position_s = min(self.position_s + elapsed_s * self.speed, self.duration_s)

@@ -1,8 +1,8 @@
-"""A recording's film: everything that its viewers see at every moment, written once, then only read.
+"""A recording's replay cache: all samples and messages for its viewers, written once, then only read.
 
-On disk it is four files of one folder: `columns.npy`, float32 of shape (samples, channels); `told`, JSON messages
-one after the other; `index.npz`, which says at which tick each was told and where samples are missing; `tool.json`, the
-tool it was recorded with.
+It is a folder of four files. `columns.npy` is float32 of shape (samples, channels). `told` holds JSON messages one
+after the other. `index.npz` has the tick of each message, and the gaps in the samples. `tool.json` is the tool of the
+recording.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ COLUMNS_FILE, MESSAGES_FILE, INDEX_FILE, TOOL_FILE = "columns.npy", "told", "ind
 
 
 class MessageKind(IntEnum):
-    """What a message of a film is."""
+    """Kind of a cached message."""
 
     IDENTIFICATION = 0
     EVENT = 1
@@ -30,23 +30,23 @@ class MessageKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ReplayCacheIndex:
-    """Where everything is. Arrays of shape (pieces,): stretches without a gap; (messages,); and (grasps,)."""
+    """Index arrays of shape (pieces,), (messages,) and (grasps,); a piece has no gap between its samples."""
 
     rate_hz: np.ndarray  # of shape ()
     first_ticks: np.ndarray
     first_rows: np.ndarray
-    ticks: np.ndarray  # of the sample with which a message became known; never falls
+    ticks: np.ndarray  # of the sample at which a message became known; never decreases
     kinds: np.ndarray
     ends: np.ndarray  # of messages, bytes from the beginning
-    alarms: np.ndarray  # an alarm's id; empty for what is none
+    alarms: np.ndarray  # an alarm's id; empty for other messages
     grasp_starts_s: np.ndarray
 
 
 class ReplayCache:
-    """The files stay open: their folder may go."""
+    """An opened replay cache. Its files stay open, so that their folder may be deleted."""
 
     def __init__(self, columns: np.ndarray, messages: np.ndarray, index_writer: ReplayCacheIndex, tool: Tool) -> None:
-        """`columns`: float32 of shape (samples, channels); `told`: uint8 of shape (bytes,)."""
+        """`columns`: float32 of shape (samples, channels); `messages`: uint8 of shape (bytes,)."""
         self._columns, self._messages, self._index, self.tool = columns, messages, index_writer, tool
         self._message_starts = np.concatenate([[0], index_writer.ends[:-1]])
         self.rate_hz = float(index_writer.rate_hz)
@@ -68,18 +68,18 @@ class ReplayCache:
         return self.end_tick / self.rate_hz
 
     def _find_row(self, tick: int) -> int:
-        """Of the first sample at this tick or later."""
+        """Return the row of the first sample at this tick or later."""
         index = self._index
         piece = int(np.searchsorted(index.first_ticks, tick, "right")) - 1
         end = index.first_rows[piece + 1] if piece + 1 < len(index.first_rows) else len(self._columns)
         return int(min(index.first_rows[piece] + tick - index.first_ticks[piece], end))
 
     def lost_samples(self, tick: int) -> int:
-        """How many are missing before this tick."""
+        """Return the number of samples missing before this tick."""
         return tick - self._find_row(tick)
 
     def samples(self, begin: int, end: int) -> list[tuple[int, np.ndarray]]:
-        """Those of ticks from `begin` on before `end`: consecutive ones as first tick and columns (channels, n)."""
+        """Return samples at ticks from `begin` before `end` as pieces: first tick, and columns (channels, n)."""
         index, first, last = self._index, self._find_row(begin), self._find_row(end)
         inner = index.first_rows[(index.first_rows > first) & (index.first_rows < last)].tolist()
         pieces = []
@@ -91,7 +91,7 @@ class ReplayCache:
         return pieces
 
     def messages(self, begin: int, end: int) -> list[str]:
-        """Messages that became known with the samples of ticks from `begin` on before `end`."""
+        """Return the messages that became known at ticks from `begin` on before `end`."""
         first, last = np.searchsorted(self._index.ticks, [begin, end]).tolist()
         return [self._message(i) for i in range(first, last)]
 
@@ -99,7 +99,7 @@ class ReplayCache:
         return self._messages[self._message_starts[i] : self._index.ends[i]].tobytes().decode()
 
     def initial_messages(self, tick: int) -> list[str]:
-        """For somebody who comes at this tick: the alarms that are on, finished grasps, the last identification."""
+        """Return what a viewer needs at this tick: active alarms, finished grasps, the last identification."""
         kinds = self._index.kinds[: np.searchsorted(self._index.ticks, tick)]
         grasps = np.flatnonzero(kinds == MessageKind.GRASP).tolist()
         identified = np.flatnonzero(kinds == MessageKind.IDENTIFICATION).tolist()[-1:]
@@ -114,7 +114,7 @@ class ReplayCache:
         return list(on.values())
 
     def technical_alarm_texts(self, tick: int) -> list[str]:
-        """Texts of the technical alarms that are on at this tick."""
+        """Return the texts of the technical alarms that are on at this tick."""
         kinds = self._index.kinds[: np.searchsorted(self._index.ticks, tick)]
         alarms = [Alarm.model_validate_json(self._message(i)) for i in self._find_active_alarms(kinds)]
         return [alarm.text for alarm in alarms if alarm.kind is AlarmKind.TECHNICAL]
