@@ -45,13 +45,13 @@ class ReplayCacheIndex:
 class ReplayCache:
     """An opened replay cache. Its files stay open, so that their folder may be deleted."""
 
-    def __init__(self, columns: np.ndarray, messages: np.ndarray, index_writer: ReplayCacheIndex, tool: Tool) -> None:
+    def __init__(self, columns: np.ndarray, messages: np.ndarray, index: ReplayCacheIndex, tool: Tool) -> None:
         """`columns`: float32 of shape (samples, channels); `messages`: uint8 of shape (bytes,)."""
-        self._columns, self._messages, self._index, self.tool = columns, messages, index_writer, tool
-        self._message_starts = np.concatenate([[0], index_writer.ends[:-1]])
-        self.rate_hz = float(index_writer.rate_hz)
-        self.grasp_starts_s: list[float] = index_writer.grasp_starts_s.tolist()
-        self.end_tick = int(index_writer.first_ticks[-1] + len(columns) - index_writer.first_rows[-1])
+        self._columns, self._messages, self._index, self.tool = columns, messages, index, tool
+        self._message_starts = np.concatenate([[0], index.ends[:-1]])
+        self.rate_hz = float(index.rate_hz)
+        self.grasp_starts_s: list[float] = index.grasp_starts_s.tolist()
+        self.end_tick = int(index.first_ticks[-1] + len(columns) - index.first_rows[-1])
 
     @classmethod
     def open(cls, folder: Path) -> Self:
