@@ -66,9 +66,9 @@ def _run_acquisition(setup: AcquisitionSetup, publisher: zmq.Socket, context: zm
     signs_of_life = bus.open_latest_subscriber(context, setup.endpoints.server_heartbeat)
     commands = context.socket(zmq.REP)
     commands.bind(setup.endpoints.commands)
-    hold_back = ForceLimiter(setup.tool, setup.library, setup.limiter)
+    limiter = ForceLimiter(setup.tool, setup.library, setup.limiter)
     safety = Safety.FAULTED if setup.previous_fault else Safety.DISARMED
-    acquisition = AcquisitionController(source, setup.tool, setup.conditioning, hold_back, safety, setup.previous_fault)
+    acquisition = AcquisitionController(source, setup.tool, setup.conditioning, limiter, safety, setup.previous_fault)
     server = ServerWatchdog(setup.max_server_silence_s)
     while not setup.start_event.wait(POLL_INTERVAL_S):
         if stop.is_set:
@@ -93,7 +93,8 @@ def _run_acquisition(setup: AcquisitionSetup, publisher: zmq.Socket, context: zm
                 if not commands.poll(0):
                     break
                 command = bus.unpack_command(commands.recv())
-                server.on_heartbeat()
+                if command is not None:  # an expired one says nothing about the server's present
+                    server.on_heartbeat()
                 answer = _execute_command(command, acquisition)
                 if isinstance(command, bus.StartCommand) and command.tissue and grasper and not answer.refused:
                     grasper.set_tissue(command.tissue)

@@ -80,15 +80,15 @@ def run_protocol(
     session = TissueEstimator(tool, library, settings)
     source, _ = open_tool(tool, library, tissue, seed, virtual=not real_time)
     run_id = recording_path.stem if recording_path else "run"
-    rig = RecordingContext(tool, library, settings)
+    context = RecordingContext(tool, library, settings)
     recorded = (
-        HeadlessRecorder(recording_path, rig, create_run(run_id, protocol.name, cycles, tissue), protocol)
+        HeadlessRecorder(recording_path, context, create_run(run_id, protocol.name, cycles, tissue), protocol)
         if recording_path
         else None
     )
     with source, recorded or contextlib.nullcontext() as file:
-        hold_back = ForceLimiter(tool, library, settings.limiter)
-        acquisition = AcquisitionController(source, tool, settings.conditioning, hold_back, Safety.ARMED)
+        limiter = ForceLimiter(tool, library, settings.limiter)
+        acquisition = AcquisitionController(source, tool, settings.conditioning, limiter, Safety.ARMED)
         acquisition.start(run_id, protocol, cycles)
         ended: list[EndedRun] = []
         while not ended:

@@ -108,22 +108,26 @@ def create_app(plan: ServicePlan) -> FastAPI:
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        station = app.state.station = ToolService(plan, store, app.state.about)
-        app.state.calibration = CalibrationSession(plan, station)
-        desk = StudyRunner(plan.studies_folder, lambda text, by: station.publish_event(text, by=by))
-        index = contextlib.aclosing(station.index_writer)  # closed last: the other parts write to it as they end
-        films, reports, shelf = ReplayCacheStore(plan), ReportCache(plan), contextlib.aclosing(RecordingCatalog(plan))
-        await station.start()
-        recording_bin = contextlib.aclosing(RecordingBin(plan, station, films, reports))
-        chain = contextlib.aclosing(JournalWatch(plan.data_folder, station.index_writer, station.alarms))
-        watch = asyncio.create_task(guard.watch_token_file(station))
-        station.supervise_task(watch)
-        demo = asyncio.create_task(run_demo(station)) if plan.demo_enabled else None
+        tool_service = app.state.station = ToolService(plan, store, app.state.about)
+        app.state.calibration = CalibrationSession(plan, tool_service)
+        desk = StudyRunner(plan.studies_folder, lambda text, by: tool_service.publish_event(text, by=by))
+        index = contextlib.aclosing(tool_service.index_writer)  # closed last: the other parts write to it as they end
+        cache_store, reports, catalog = (
+            ReplayCacheStore(plan),
+            ReportCache(plan),
+            contextlib.aclosing(RecordingCatalog(plan)),
+        )
+        await tool_service.start()
+        recording_bin = contextlib.aclosing(RecordingBin(plan, tool_service, cache_store, reports))
+        chain = contextlib.aclosing(JournalWatch(plan.data_folder, tool_service.index_writer, tool_service.alarms))
+        watch = asyncio.create_task(guard.watch_token_file(tool_service))
+        tool_service.supervise_task(watch)
+        demo = asyncio.create_task(run_demo(tool_service)) if plan.demo_enabled else None
         async with (
             index,
             desk as app.state.studies,
-            contextlib.aclosing(films) as app.state.films,
-            shelf as app.state.shelf,
+            contextlib.aclosing(cache_store) as app.state.films,
+            catalog as app.state.shelf,
             contextlib.aclosing(reports) as app.state.reports,
             chain as app.state.chain,
             recording_bin as app.state.bin,
@@ -134,7 +138,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
                 watch.cancel()
                 if demo:
                     demo.cancel()
-                await station.stop()
+                await tool_service.stop()
 
     app = FastAPIOffline(
         title="Graspwatch",

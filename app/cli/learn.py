@@ -63,7 +63,7 @@ def learn(
     from app.analysis.learning.library_file import check_writable, library_to_toml, write_atomically
 
     files, settings = parse_labels(label), load_settings(config)
-    rig, like = load_tool(tool) if tool else _find_recording_tool(files), load_library(base)
+    context, like = load_tool(tool) if tool else _find_recording_tool(files), load_library(base)
     page, data = (out.with_name(f"{out.stem}-report.{kind}") for kind in ("html", "json"))
     check_writable(out)
 
@@ -77,23 +77,23 @@ def learn(
 
     def of(recordings: Sequence[LabeledRecording]) -> TissueLibrary:
         peak_v = estimate_usual_peak_v(recordings)
-        curves = [extract_loading_curves(each, rig, peak_v) for each in recordings]
-        return fit_library(curves, rig, like, base, peak_v, name="validated", date=today)
+        curves = [extract_loading_curves(each, context, peak_v) for each in recordings]
+        return fit_library(curves, context, like, base, peak_v, name="validated", date=today)
 
     today = date.today().isoformat()
     with ProgressBar("learning", 1.0) as progress:
-        found = load_training_set(files, rig, like, settings, least, lambda share: progress(READING_SHARE * share))
+        found = load_training_set(files, context, like, settings, least, lambda share: progress(READING_SHARE * share))
         library = fit_library(
-            found.curves, rig, like, base, found.peak_v, name=_make_library_name(out.stem), date=today
+            found.curves, context, like, base, found.peak_v, name=_make_library_name(out.stem), date=today
         )
         answers = cross_validate(
             found.recordings,
             of,
-            rig,
+            context,
             settings.identification,
             lambda share: progress(READING_SHARE + (1 - READING_SHARE) * share),
         )
-    study = build_report(library.name, library, answers, {"tool": rig.name, "base": base, "date": today})
+    study = build_report(library.name, library, answers, {"tool": context.name, "base": base, "date": today})
     write_atomically(page, study.render_page())
     write_atomically(data, json.dumps(study.to_document(), indent=2, allow_nan=False) + "\n")
     write_atomically(out, library_to_toml(library))

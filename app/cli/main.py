@@ -116,13 +116,13 @@ def serve(
         from acquisition.drivers.nidaq import read_driver_version
 
         read_driver_version(chosen)
-    rig = load_tool(DEFAULT_RECORDING_TOOL)
+    context = load_tool(DEFAULT_RECORDING_TOOL)
     settings = _apply_tls_options(settings, tls_cert, tls_key)
     if foxglove:
         settings = settings.model_copy(update={"foxglove": FoxgloveSettings(port=foxglove)})
     folder, source = prepare_data_folder(data, settings), tool or settings.tool
     _start_server(
-        ServicePlan(chosen, library, settings, held, seed, folder, rig, demo_enabled=demo, tool_source=source),
+        ServicePlan(chosen, library, settings, held, seed, folder, context, demo_enabled=demo, tool_source=source),
         host,
         port,
     )
@@ -214,11 +214,11 @@ def replay(
     from acquisition.recordings.recording import RecordingSource
 
     settings = load_settings(config)
-    profiles, rig = load_library(library or settings.library), load_tool(tool or DEFAULT_RECORDING_TOOL)
+    profiles, context = load_library(library or settings.library), load_tool(tool or DEFAULT_RECORDING_TOOL)
     if as_recorded and (library or config or serve_dashboard):
         raise ConfigurationError("--as-recorded takes library and settings from the file; leave the others out.")
     for path in files:
-        profiles.check_tool(rig if tool else RecordingSource(path, rig).tool)
+        profiles.check_tool(context if tool else RecordingSource(path, context).tool)
 
     from app.analysis.headless import replay_recording  # a slow import, made after the files are checked
     from app.recordings.mcap_writer import RecordingContext
@@ -229,13 +229,13 @@ def replay(
             raise ConfigurationError("--serve shows the recording in the dashboard; leave --json and --speed out.")
         settings = _apply_tls_options(settings, tls_cert, tls_key)
         held, folder = next(iter(profiles.tissues)), prepare_data_folder(data, settings)
-        plan = ServicePlan(rig, profiles, settings, held, 0, folder, rig, tuple(files))
+        plan = ServicePlan(context, profiles, settings, held, 0, folder, context, tuple(files))
         _start_server(plan, host, port)
         return
     documents = []
     for path in files:
-        recording = RecordingSource(path, rig, speed)
-        how = RecordingContext(rig if tool else recording.tool, profiles, settings)
+        recording = RecordingSource(path, context, speed)
+        how = RecordingContext(context if tool else recording.tool, profiles, settings)
         if as_recorded:
             if recording.mcap_file is None:
                 raise ConfigurationError(f"{path}: LabVIEW's files hold no library. Leave --as-recorded out.")

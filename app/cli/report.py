@@ -58,7 +58,7 @@ def report(
     Example: graspwatch report liver.lvm.gz bladder.lvm.gz --label liver=liver.lvm.gz --out report.html
     """
     settings = load_settings(config)
-    profiles, rig = load_library(library or settings.library), load_tool(tool)
+    profiles, context = load_library(library or settings.library), load_tool(tool)
     folder = (data or Path(settings.data_folder)) / "recordings"
     files = [_find_recording(name, folder) for name in recordings]
     if len(set(files)) < len(files):
@@ -76,7 +76,7 @@ def report(
         profiles, settings = read_common_configuration(files) or (profiles, settings)
 
     with ProgressBar(page_path.name, 1.0) as progress:
-        made = read_report(files, rig, profiles, settings, labels, progress)
+        made = read_report(files, context, profiles, settings, labels, progress)
         text, document = (
             render_report_page(made, progress),
             json.dumps(made.document(), indent=2, allow_nan=False) + "\n",

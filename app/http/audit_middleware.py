@@ -75,7 +75,7 @@ def _write_journal_entry(
     if route is None and status is not HTTPStatus.FORBIDDEN:
         return  # no such route, or AuthMiddleware refused an unknown user; it logs wrong tokens itself
     journal: Journal = request.app.state.station.journal
-    deed = getattr(request.state, "deed", {})
+    note = getattr(request.state, "deed", {})
     name = route.name if route else str(request.scope["method"])
     words = [name.replace("_", " ").capitalize(), *map(str, request.path_params.values())]
     if route is None:
@@ -86,18 +86,18 @@ def _write_journal_entry(
         reason = str(_json_field(response_body, "detail") or status.phrase)[:MAX_REASON_LENGTH]
     journal.write_request(
         name,
-        deed.get("what") or " ".join(words),
+        note.get("what") or " ".join(words),
         client=describe_client(request),
         result=result,
-        by=deed.get("by") or _signed_in_name(request) or _claimed_name(request, request_body),
+        by=note.get("by") or _signed_in_name(request) or _claimed_name(request, request_body),
         reason=reason,
     )
 
 
 def _signed_in_name(request: HTTPConnection) -> str | None:
     """Return the user that AuthMiddleware found, who takes precedence over any name in the request."""
-    who = getattr(request.state, "who", None)
-    return who.name if who else None
+    user = getattr(request.state, "who", None)
+    return user.name if user else None
 
 
 def _claimed_name(request: HTTPConnection, request_body: bytes) -> str | None:

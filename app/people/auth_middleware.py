@@ -39,10 +39,10 @@ class AuthMiddleware:
             return
         try:
             path = scope["path"]
-            who = self._authenticator.authenticate(
+            user = self._authenticator.authenticate(
                 HTTPConnection(scope), path in self._public_paths or not path.startswith(PROTECTED_PATHS)
             )
-            scope.setdefault("state", {})["who"] = who
+            scope.setdefault("state", {})["who"] = user
             if scope["type"] == "http":
                 if not STOP_PATH.fullmatch(path):  # a stop takes effect before its body is read
                     self._check_length(Headers(scope=scope))
@@ -51,7 +51,7 @@ class AuthMiddleware:
         except ProblemError as error:
             await _refuse(error, scope, receive, send)
             return
-        await self._serve_websocket(who, scope, receive, send)
+        await self._serve_websocket(user, scope, receive, send)
 
     def _check_length(self, headers: Headers) -> None:
         """Raise ProblemError if the header announces a body that is too large."""

@@ -67,12 +67,12 @@ class Authenticator:
         Raises:
             ProblemError: the user is unknown, `Host` or `Origin` is not allowed, or the requests come too often.
         """
-        who = self._find_user(connection)
+        user = self._find_user(connection)
         method = connection.scope.get("method", "WEBSOCKET")
         stops = method == "POST" and STOP_PATH.fullmatch(connection.scope["path"])
         if not stops:
-            self._limit_request_rate(connection, who)
-        if who is None and not is_public:
+            self._limit_request_rate(connection, user)
+        if user is None and not is_public:
             if stops:  # a refused stop counts, or it could fill the journal
                 self._limit_rate_of(f"address {client_address(connection)}")
             if self.token_store.requires_token:
@@ -85,10 +85,10 @@ class Authenticator:
             raise ProblemError(HTTPStatus.FORBIDDEN, WRONG_HOST_TEXT)
         if method not in SAFE_METHODS:
             own = is_same_origin(connection)
-            if own is False or (own is None and who and who.session_hash):
+            if own is False or (own is None and user and user.session_hash):
                 self._limit_rate_of(f"address {client_address(connection)}")  # a local user is not counted above
                 raise ProblemError(HTTPStatus.FORBIDDEN, FOREIGN_ORIGIN_TEXT)
-        return who
+        return user
 
     def _find_user(self, connection: HTTPConnection) -> AuthenticatedUser | None:
         self._reload_tokens()

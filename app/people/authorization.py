@@ -31,20 +31,20 @@ class RoleRequirement:
         self.role = role
 
     async def __call__(self, connection: HTTPConnection) -> None:
-        who = get_user(connection)
+        user = get_user(connection)
         if self.role is None:
             return
-        if who is None:  # AuthMiddleware refused the user, unless the path is public for another method
+        if user is None:  # AuthMiddleware refused the user, unless the path is public for another method
             raise ProblemError(HTTPStatus.UNAUTHORIZED, "Sign in first.")
-        if not who.role.includes(self.role):
+        if not user.role.includes(self.role):
             detail = (
-                f"{who.name} is {_with_article(who.role)}, and this needs "
+                f"{user.name} is {_with_article(user.role)}, and this needs "
                 f"{_with_article(self.role)}. Ask an admin of this service for a "
                 f"token made with `graspwatch token add NAME --role {self.role.value}`."
             )
             raise ProblemError(HTTPStatus.FORBIDDEN, detail)
-        if who.name and connection.scope.get("method", "GET") not in SAFE_METHODS:
-            connection.app.state.station.control_lease.renew(who.name)
+        if user.name and connection.scope.get("method", "GET") not in SAFE_METHODS:
+            connection.app.state.station.control_lease.renew(user.name)
 
 
 PUBLIC_ROUTE = Depends(RoleRequirement(None))
@@ -62,8 +62,8 @@ def get_user(connection: HTTPConnection) -> AuthenticatedUser | None:
 
 def requester_name(connection: HTTPConnection, by: str | None) -> str | None:
     """Return the name of the signed-in user, else the name `by` from the request."""
-    who = get_user(connection)
-    return who.name if who and who.name else by
+    user = get_user(connection)
+    return user.name if user and user.name else by
 
 
 def require_requester_name(connection: HTTPConnection, by: str | None) -> str:

@@ -41,7 +41,7 @@ def read_run(path: Path) -> RecordedRun:
         RecordingError: it is no recording of a run, or is damaged.
     """
     container = McapFile(path)
-    rig = RecordingContext.from_file(container)
+    context = RecordingContext.from_file(container)
     rows: dict[str, list[RowBlock]] = {
         mcap_layout.RAW_TOPIC: [],
         mcap_layout.CONDITIONED_TOPIC: [],
@@ -69,11 +69,13 @@ def read_run(path: Path) -> RecordedRun:
             {name: values[:whole] for name, values in conditioned.columns.items()},
         )
         estimates = _align_estimates(
-            samples, from_estimate_columns(estimated.columns, list(rig.library.tissues)), len(rig.library.tissues)
+            samples,
+            from_estimate_columns(estimated.columns, list(context.library.tissues)),
+            len(context.library.tissues),
         )
     except (KeyError, ValueError) as error:
         raise RecordingError(f"{path}: does not hold what a run's file holds ({error}).") from None
-    return RecordedRun(path, container.metadata, rig, samples, estimates, raw.log_ns[:whole], run, tuple(grasps))
+    return RecordedRun(path, container.metadata, context, samples, estimates, raw.log_ns[:whole], run, tuple(grasps))
 
 
 def _align_estimates(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:

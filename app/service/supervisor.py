@@ -92,9 +92,9 @@ class Supervisor:
             plan.settings.safety.server_silence_s,
         )
         estimator = estimator_worker.EstimatorSetup(os.getpid(), self.endpoints, plan.tool, plan.library, plan.settings)
-        rig = RecordingContext(plan.tool, plan.library, plan.settings)
+        context = RecordingContext(plan.tool, plan.library, plan.settings)
         recorder = recorder_worker.RecorderSetup(
-            os.getpid(), self.endpoints, plan.recordings_folder, rig, plan.settings.realtime.priority
+            os.getpid(), self.endpoints, plan.recordings_folder, context, plan.settings.realtime.priority
         )
         self.workers = {
             "acquisition": Worker("acquisition", acquisition_worker.main, acquisition),

@@ -35,19 +35,19 @@ TEXT_COLUMNS = {"force", "start, s", "verdict", "probability", "warnings", "rema
 def render_grasp_table(report: Report, drawn_count: int) -> str:
     """Render the table as HTML; the first `drawn_count` grasps have a button that draws them."""
     parts, number = [], 0
-    for story in report.recordings:
-        own = [(record, observation) for told_by, record, observation in report.grasps if told_by is story]
+    for analyzed in report.recordings:
+        own = [(record, observation) for told_by, record, observation in report.grasps if told_by is analyzed]
         most_n = max((record.peak_force_n or 0.0 for record, _ in own), default=0.0)
         lines = []
         for record, observation in own:
-            button = f'data-grasp="{number}" aria-label="Grasp {record.index} of {html.escape(story.title)}"'
+            button = f'data-grasp="{number}" aria-label="Grasp {record.index} of {html.escape(analyzed.title)}"'
             name = (
                 f'<button type="button" {button}>{record.index}</button>' if number < drawn_count else str(record.index)
             )
-            lines.append([Markup(name), *_render_cells(report, story, record, observation, most_n)])
+            lines.append([Markup(name), *_render_cells(report, analyzed, record, observation, most_n)])
             number += 1
         if len(report.recordings) > 1:
-            title = html.escape(story.title)
+            title = html.escape(analyzed.title)
             parts.append(f'<tr><th scope="rowgroup" colspan="{len(COLUMNS)}">{title}</th></tr>')
         parts.append(render_rows(lines))
     head = "".join(

@@ -45,17 +45,17 @@ def _render_summary(report: Report) -> str:
     ]
     menu = "".join(f'<li><a href="#{name}">{title}</a></li>' for name, title in links)
     rows = []
-    for story in report.recordings:
-        verdicts = Counter(report.tissue_styles[grasp.label].title for grasp in story.grasps)
-        alarms = sum(bool(story.grasp_alarms(grasp)) for grasp in story.grasps)
+    for analyzed in report.recordings:
+        verdicts = Counter(report.tissue_styles[grasp.label].title for grasp in analyzed.grasps)
+        alarms = sum(bool(analyzed.grasp_alarms(grasp)) for grasp in analyzed.grasps)
         rows.append(
             [
-                story.title,
-                f"{story.duration_s:.1f} s",
-                story.lost_samples,
-                _group_title(report, report.labels.get(story.title) or story.tissue),
-                len(story.grasps),
-                sum(not grasp.valid for grasp in story.grasps),
+                analyzed.title,
+                f"{analyzed.duration_s:.1f} s",
+                analyzed.lost_samples,
+                _group_title(report, report.labels.get(analyzed.title) or analyzed.tissue),
+                len(analyzed.grasps),
+                sum(not grasp.valid for grasp in analyzed.grasps),
                 ", ".join(f"{count} {name}" for name, count in verdicts.most_common()) or "none",
                 alarms,
             ]
@@ -112,9 +112,9 @@ def _render_time_plots(report: Report, data: dict[str, Any]) -> str:
         why = f"There are more than {MAX_TIME_PLOTS} recordings: only their grasps are drawn, one by one."
         return f'<section id="courses"><h2>Courses</h2><p>{why}</p></section>'
     parts = "".join(
-        f"<h3>{html.escape(story.title)}</h3>"
-        + _render_figure(f"course-{number}", f"The whole of {story.title} over time", course=number)
-        for number, story in enumerate(report.recordings)
+        f"<h3>{html.escape(analyzed.title)}</h3>"
+        + _render_figure(f"course-{number}", f"The whole of {analyzed.title} over time", course=number)
+        for number, analyzed in enumerate(report.recordings)
     )
     return f'<section id="courses"><h2>Courses</h2>{parts}</section>'
 

@@ -48,13 +48,13 @@ def _build_grasp_plots(report: Report, plot_lines: list[PlotLine], progress: Pro
     drawn, looks = report.grasps[:MAX_GRASP_PLOTS], report.tissue_styles
     most = _limit_points(MAX_GRASP_PLOT_BYTES, len(drawn), len(plot_lines), MAX_GRASP_PLOT_POINTS)
     grasps = []
-    for number, (story, grasp, _) in enumerate(drawn, 1):
-        marks = build_verdict_bars([grasp], looks) + build_alarm_markers(story.grasp_alarms(grasp), story.rate_hz)
-        curve = build_curve(story, grasp)
+    for number, (analyzed, grasp, _) in enumerate(drawn, 1):
+        marks = build_verdict_bars([grasp], looks) + build_alarm_markers(analyzed.grasp_alarms(grasp), analyzed.rate_hz)
+        curve = build_curve(analyzed, grasp)
         grasps.append(
             {
-                "title": f"Grasp {grasp.index} of {story.title}: {looks[grasp.label].title}",
-                "course": build_time_plot(story, story.grasp_traces(grasp), plot_lines, most, marks),
+                "title": f"Grasp {grasp.index} of {analyzed.title}: {looks[grasp.label].title}",
+                "course": build_time_plot(analyzed, analyzed.grasp_traces(grasp), plot_lines, most, marks),
                 "strain": _to_rounded_list(curve and curve.strain),
                 "measured_kpa": _to_rounded_list(curve and curve.measured_kpa),
                 "estimated_kpa": _to_rounded_list(curve and curve.estimated_kpa),
@@ -67,10 +67,12 @@ def _build_grasp_plots(report: Report, plot_lines: list[PlotLine], progress: Pro
 def _build_time_plots(report: Report, plot_lines: list[PlotLine]) -> list[dict[str, Any]]:
     most = _limit_points(MAX_TIME_PLOT_BYTES, len(report.recordings), len(plot_lines), MAX_TIME_PLOT_POINTS)
     courses = []
-    for story in report.recordings:
-        alarms = [alarm for grasp in story.grasps for alarm in story.grasp_alarms(grasp)]
-        marks = build_verdict_bars(story.grasps, report.tissue_styles) + build_alarm_markers(alarms, story.rate_hz)
-        courses.append(build_time_plot(story, story.traces, plot_lines, most, marks))
+    for analyzed in report.recordings:
+        alarms = [alarm for grasp in analyzed.grasps for alarm in analyzed.grasp_alarms(grasp)]
+        marks = build_verdict_bars(analyzed.grasps, report.tissue_styles) + build_alarm_markers(
+            alarms, analyzed.rate_hz
+        )
+        courses.append(build_time_plot(analyzed, analyzed.traces, plot_lines, most, marks))
     return courses
 
 
@@ -80,10 +82,10 @@ def _limit_points(budget_bytes: int, plots: int, lines: int, max_points: int) ->
 
 def _build_curve_overview(report: Report) -> dict[str, Any]:
     figure = draw_library_curves(report.library, report.tissue_styles)
-    for story, grasp, observation in report.grasps[:: curve_stride(len(report.grasps))]:
-        if curve := build_curve(story, grasp):
+    for analyzed, grasp, observation in report.grasps[:: curve_stride(len(report.grasps))]:
+        if curve := build_curve(analyzed, grasp):
             look = report.tissue_styles.get(observation.group, report.tissue_styles[grasp.label])
-            draw_grasp_curve(figure, curve, f"{story.title}, {grasp.index}", look)
+            draw_grasp_curve(figure, curve, f"{analyzed.title}, {grasp.index}", look)
     return figure_to_json(figure)
 
 

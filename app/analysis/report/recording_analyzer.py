@@ -128,14 +128,14 @@ def analyze_recording(
 ) -> AnalyzedRecording:
     """Process a recording by conditioning, estimation and identification, and collect the results."""
     tool = recording.tool
-    teller = RecordingAnalyzer(title, tool, library, settings, recording.sample_count)
+    translator = RecordingAnalyzer(title, tool, library, settings, recording.sample_count)
     pipeline = ConditioningPipeline(tool, settings.conditioning)
     with recording:
         while (raw := recording.read_block()) is not None:
-            teller.process(pipeline.process(raw))
-            progress(teller.rows / recording.sample_count)
+            translator.process(pipeline.process(raw))
+            progress(translator.rows / recording.sample_count)
     about = recording.mcap_file.metadata if recording.mcap_file else {}
-    return teller.finish(tissue=about.get("tissue") or None, facts=_collect_facts(recording.path, about))
+    return translator.finish(tissue=about.get("tissue") or None, facts=_collect_facts(recording.path, about))
 
 
 def _collect_facts(path: Path, about: dict[str, str]) -> dict[str, Any]:

@@ -42,9 +42,9 @@ class Report:
     def grasps(self) -> list[tuple[AnalyzedRecording, GraspRecord, Observation]]:
         """All grasps, each with its recording and its observation for the statistics."""
         return [
-            (story, record, self._build_observation(story, record))
-            for story in self.recordings
-            for record in story.grasps
+            (analyzed, record, self._build_observation(analyzed, record))
+            for analyzed in self.recordings
+            for record in analyzed.grasps
         ]
 
     @cached_property
@@ -67,7 +67,7 @@ class Report:
             "report": self.title,
             "versions": collect_versions(),
             "library": self.library.name,
-            "recordings": [self._recording_document(story) for story in self.recordings],
+            "recordings": [self._recording_document(analyzed) for analyzed in self.recordings],
             "left_out": [
                 {"recording": one.source, "grasp": one.record.index, "why": why} for one, why in found.excluded
             ],
@@ -145,16 +145,18 @@ def read_report(
     """
     titles = _make_titles(files)
     recordings = [open_recorded_run(path, tool) for path in files]
-    whole, before, stories = sum(recording.sample_count for recording in recordings), 0, []
+    whole, before, analyzed_recordings = sum(recording.sample_count for recording in recordings), 0, []
     for recording in recordings:
 
         def share(done: float, before: int = before, samples: int = recording.sample_count) -> None:
             progress(READING_SHARE * (before + done * samples) / whole)
 
-        stories.append(analyze_recording(recording, titles[recording.path], library, settings, share))
+        analyzed_recordings.append(analyze_recording(recording, titles[recording.path], library, settings, share))
         before += recording.sample_count
     name = titles[files[0]] if len(files) == 1 else f"{len(files)} recordings"
-    return Report(f"Report: {name}", tuple(stories), {titles[path]: label for path, label in labels.items()})
+    return Report(
+        f"Report: {name}", tuple(analyzed_recordings), {titles[path]: label for path, label in labels.items()}
+    )
 
 
 def read_common_configuration(files: Sequence[Path]) -> tuple[TissueLibrary, Settings] | None:

@@ -21,17 +21,17 @@ def acquire_control(request: Request, *, take_over: bool = False) -> None:
     Raises:
         ProblemError: another user has control.
     """
-    who, station = get_user(request), _get_tool_service(request)
-    if who is None or who.name is None:
+    user, tool_service = get_user(request), _get_tool_service(request)
+    if user is None or user.name is None:
         return
     try:
-        before = station.control_lease.acquire(who.name, take_over=take_over)
+        before = tool_service.control_lease.acquire(user.name, take_over=take_over)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
-    if before != who.name:
+    if before != user.name:
         taken = f"Control taken over from {before}" if before else "Control taken"
-        station.publish_event(taken, JournalKind.ACCESS, who.name)
-        station.publish_state()
+        tool_service.publish_event(taken, JournalKind.ACCESS, user.name)
+        tool_service.publish_state()
 
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
@@ -60,20 +60,20 @@ async def take(request: Request, body: Annotated[ControlRequest, Body()]) -> Con
 )
 async def give_back(request: Request) -> ControlInfo:
     """Release control. It is refused if another user has control, and changes nothing if control is free."""
-    name, station = _require_user_name(request), _get_tool_service(request)
-    if not station.release_control(name) and station.control_lease.holder:
+    name, tool_service = _require_user_name(request), _get_tool_service(request)
+    if not tool_service.release_control(name) and tool_service.control_lease.holder:
         raise ProblemError(
-            HTTPStatus.CONFLICT, f"{station.control_lease.holder} has control, and only he can give it back."
+            HTTPStatus.CONFLICT, f"{tool_service.control_lease.holder} has control, and only he can give it back."
         )
     return await control(request)
 
 
 def _require_user_name(request: Request) -> str:
     """Return the user's name; raises `ProblemError` if the service has no tokens, and so no names."""
-    who = get_user(request)
-    if who is None or who.name is None:
+    user = get_user(request)
+    if user is None or user.name is None:
         raise ProblemError(HTTPStatus.CONFLICT, NO_TOKENS_TEXT)
-    return who.name
+    return user.name
 
 
 def _get_tool_service(request: Request) -> ToolService:

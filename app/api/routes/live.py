@@ -12,10 +12,10 @@ router = APIRouter()
 @router.websocket("/api/live", dependencies=[require_role(Role.VIEWER)])
 async def live(socket: WebSocket) -> None:
     """Send a `Hello`, the last seconds of samples, then everything as it happens; see app/messages/wire.py."""
-    station: ToolService = socket.app.state.station
+    tool_service: ToolService = socket.app.state.station
     await socket.accept()
-    if len(station.viewer_hub.viewers) >= station.plan.settings.server.max_viewers:
+    if len(tool_service.viewer_hub.viewers) >= tool_service.plan.settings.server.max_viewers:
         await socket.close(1013, "too many viewers; try again later")
         return
-    messages, history = station.initial_messages()
-    await station.viewer_hub.serve_viewer(socket, messages, history)
+    messages, history = tool_service.initial_messages()
+    await tool_service.viewer_hub.serve_viewer(socket, messages, history)

@@ -35,8 +35,8 @@ WAITING_PAGE_POLICY = (
 @router.get("", dependencies=[require_role(Role.VIEWER)])
 async def recordings(request: Request, response: Response, query: Annotated[RecordingQuery, Query()]) -> Recordings:
     """List recordings that can be replayed. A duration is null until its file has been read: ask again in a second."""
-    shelf: RecordingCatalog = request.app.state.shelf
-    listing = await shelf.list_recordings()
+    catalog: RecordingCatalog = request.app.state.shelf
+    listing = await catalog.list_recordings()
     found = [recording for recording in listing.recordings if _matches(recording, query)]
     limit = query.limit or max(len(found), 1)
     set_paging_headers(request, response, limit, query.offset, len(found))
@@ -68,9 +68,9 @@ async def file(request: Request, name: str) -> FileResponse:
 
 
 async def _find_path(request: Request, name: str) -> Path:
-    shelf: RecordingCatalog = request.app.state.shelf
+    catalog: RecordingCatalog = request.app.state.shelf
     try:
-        return await shelf.find_path(name)
+        return await catalog.find_path(name)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
 
@@ -105,14 +105,14 @@ async def delete(
 
 
 def _check_not_in_use(request: Request, path: Path) -> None:
-    station: ToolService = request.app.state.station
-    shelf: RecordingCatalog = request.app.state.shelf
-    films: ReplayCacheStore = request.app.state.films
-    if Path(station.recorder_link.state.file or "").name == path.name:
+    tool_service: ToolService = request.app.state.station
+    catalog: RecordingCatalog = request.app.state.shelf
+    cache_store: ReplayCacheStore = request.app.state.films
+    if Path(tool_service.recorder_link.state.file or "").name == path.name:
         why = "it is being recorded. Stop the run first."
-    elif shelf.is_opened(path):
+    elif catalog.is_opened(path):
         why = "it was opened on the command line. End that service first."
-    elif films.is_watched(path):
+    elif cache_store.is_watched(path):
         why = "somebody is watching it. Close its replay first."
     else:
         return
@@ -138,8 +138,10 @@ async def report(request: Request, name: str) -> Response:
     """
     reports: ReportCache = request.app.state.reports
     path = await _find_path(request, name)
-    station: ToolService = request.app.state.station
-    note = partial(station.journal.write_request, "report", f"Make report of {name}", client=describe_client(request))
+    tool_service: ToolService = request.app.state.station
+    note = partial(
+        tool_service.journal.write_request, "report", f"Make report of {name}", client=describe_client(request)
+    )
     try:
         made = await reports.request_report(path, partial(note, result=Result.DONE))
     except RecordingError as error:
@@ -161,18 +163,18 @@ async def report(request: Request, name: str) -> Response:
 @router.websocket("/{name}/replay", dependencies=[require_role(Role.VIEWER)])
 async def replay(socket: WebSocket, name: str) -> None:
     """Stream a recording as if it were live, with pause, seek and speed; see app/messages/wire.py."""
-    station: ToolService = socket.app.state.station
-    films: ReplayCacheStore = socket.app.state.films
-    shelf: RecordingCatalog = socket.app.state.shelf
-    server = station.plan.settings.server
+    tool_service: ToolService = socket.app.state.station
+    cache_store: ReplayCacheStore = socket.app.state.films
+    catalog: RecordingCatalog = socket.app.state.shelf
+    server = tool_service.plan.settings.server
     await socket.accept()
     try:
-        path = await shelf.find_path(name)
-        if films.viewers >= server.max_viewers:
+        path = await catalog.find_path(name)
+        if cache_store.viewers >= server.max_viewers:
             await socket.close(1013, "too many viewers; try again later")
             return
-        with films.open_entry(path) as showing:
-            await ReplayConnection(station.plan, name, showing, socket).serve()
+        with cache_store.open_entry(path) as showing:
+            await ReplayConnection(tool_service.plan, name, showing, socket).serve()
     except GraspwatchError as error:
         viewer = Viewer(socket, server.chart_window_frames)
         close_with_error(viewer, error)

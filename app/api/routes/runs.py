@@ -47,24 +47,26 @@ def get_tool_service(request: Request) -> ToolService:
 async def start_run(request: Request, body: Annotated[RunRequest, Body()]) -> Run:
     """Start a protocol on the tool."""
     note_request(request, description=f"Start run {body.protocol}" + (f" on {body.tissue}" if body.tissue else ""))
-    station = get_tool_service(request)
-    check_has_tool(station)
+    tool_service = get_tool_service(request)
+    check_has_tool(tool_service)
     override = _unmeasured_scale_reason(request, body.unmeasured_scale)
     try:
         protocol = load_protocol(require_known_name(body.protocol, list_shipped_names("protocols"), "protocol"))
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "protocol") from None
     cycles = body.cycles or protocol.cycles
-    _check_tissue(station, body.tissue)
+    _check_tissue(tool_service, body.tissue)
     try:
-        ProtocolPlayer(protocol, station.plan.tool, cycles)
+        ProtocolPlayer(protocol, tool_service.plan.tool, cycles)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), error.field) from None
     acquire_control(request)
-    await _end_demo_and_check_idle(station)
+    await _end_demo_and_check_idle(tool_service)
     by = requester_name(request, body.by)
     try:
-        return await station.start_run(protocol, cycles, body.tissue or station.simulated_tissue, by, override)
+        return await tool_service.start_run(
+            protocol, cycles, body.tissue or tool_service.simulated_tissue, by, override
+        )
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
@@ -77,8 +79,8 @@ def _unmeasured_scale_reason(request: Request, reason: str | None) -> str:
     """
     if reason is None or get_tool_service(request).plan.tool.has_known_scale:
         return ""
-    who = get_user(request)
-    if who is None or not who.role.includes(Role.ADMIN):
+    user = get_user(request)
+    if user is None or not user.role.includes(Role.ADMIN):
         detail = "Only an admin may arm a tool whose force scale is not measured."
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "unmeasured_scale")
     return reason
@@ -118,13 +120,13 @@ def _check_tissue(tool_service: ToolService, tissue: str | None) -> None:
 )
 async def arm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
     """Tare the tool and test it at rest, so that it may move. A start arms it too, unless the settings forbid that."""
-    station = get_tool_service(request)
-    check_has_tool(station)
+    tool_service = get_tool_service(request)
+    check_has_tool(tool_service)
     body = body or ArmRequest()
     override = _unmeasured_scale_reason(request, body.unmeasured_scale)
     acquire_control(request)
-    await station.arming.arm(requester_name(request, body.by), override)
-    return SafetyReport(safety=station.arming.safety)
+    await tool_service.arming.arm(requester_name(request, body.by), override)
+    return SafetyReport(safety=tool_service.arming.safety)
 
 
 @router.post(
@@ -134,10 +136,10 @@ async def arm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
 )
 async def disarm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
     """Set the motor to zero and forbid motion until the tool is armed again. A run under way is stopped."""
-    station = get_tool_service(request)
-    check_has_tool(station)
+    tool_service = get_tool_service(request)
+    check_has_tool(tool_service)
     acquire_control(request)
-    await station.arming.disarm(requester_name(request, body.by if body else None))
+    await tool_service.arming.disarm(requester_name(request, body.by if body else None))
     return SafetyReport(safety=Safety.DISARMED)
 
 
@@ -156,17 +158,19 @@ def check_has_tool(tool_service: ToolService) -> None:
 )
 async def list_runs(request: Request, response: Response, query: Annotated[RunQuery, Query()]) -> list[Run]:
     """List runs of this service and earlier ones, oldest first by default; `X-Total-Count` gives their total number."""
-    station = get_tool_service(request)
-    found = await station.index_writer.query(station.index_writer.store.find_runs, query)
+    tool_service = get_tool_service(request)
+    found = await tool_service.index_writer.query(tool_service.index_writer.store.find_runs, query)
     set_paging_headers(request, response, query.limit, query.offset, found.total)
-    return [station.runs.get(run.id) or run for run in found.items]
+    return [tool_service.runs.get(run.id) or run for run in found.items]
 
 
 @router.get("/runs/{run_id}", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
 async def get_run(request: Request, run_id: str) -> Run:
     """Return one run."""
-    station = get_tool_service(request)
-    run = station.runs.get(run_id) or await station.index_writer.query(station.index_writer.store.get_run, run_id)
+    tool_service = get_tool_service(request)
+    run = tool_service.runs.get(run_id) or await tool_service.index_writer.query(
+        tool_service.index_writer.store.get_run, run_id
+    )
     if run is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no run {run_id!r}. GET /api/runs lists them.")
     return run
@@ -176,10 +180,10 @@ async def get_run(request: Request, run_id: str) -> Run:
 async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
     """List the finished grasps of a run."""
     await get_run(request, run_id)
-    station = get_tool_service(request)
-    if station.runs.get(run_id):
-        return station.runs.list_grasps(run_id)
-    return await station.index_writer.query(station.index_writer.store.list_run_grasps, run_id)
+    tool_service = get_tool_service(request)
+    if tool_service.runs.get(run_id):
+        return tool_service.runs.list_grasps(run_id)
+    return await tool_service.index_writer.query(tool_service.index_writer.store.list_run_grasps, run_id)
 
 
 async def _read_requester_name(request: Request) -> str | None:
@@ -219,14 +223,14 @@ async def stop(request: Request) -> StopAnswer:
 
 async def _stop_motor(request: Request) -> StopAnswer:
     """Stop the motor before reading the body of the request."""
-    station = get_tool_service(request)
-    station.demo_text = None
-    before = station.runs.current
+    tool_service = get_tool_service(request)
+    tool_service.demo_text = None
+    before = tool_service.runs.current
     try:
-        stopped = await station.stop_run("asked to stop", lambda: _read_requester_name(request))
+        stopped = await tool_service.stop_run("asked to stop", lambda: _read_requester_name(request))
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
-    run = station.runs.get(before.id) if before else None
-    station.publish_state()
+    run = tool_service.runs.get(before.id) if before else None
+    tool_service.publish_state()
     return StopAnswer(stopped=stopped, run=run)

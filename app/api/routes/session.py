@@ -55,11 +55,11 @@ async def sign_out(request: Request, response: Response) -> None:
 
 
 def _end_browser_session(request: Request) -> None:
-    guard, who = _get_authenticator(request), get_user(request)
-    if who and who.session_hash:
-        guard.browser_sessions.end(who.session_hash)
+    guard, user = _get_authenticator(request), get_user(request)
+    if user and user.session_hash:
+        guard.browser_sessions.end(user.session_hash)
         guard.close_unauthorized()
-        guard.write_access_entry("Signed out", who.name)
+        guard.write_access_entry("Signed out", user.name)
 
 
 def _build_session_info(authenticator: Authenticator, user: AuthenticatedUser | None) -> SessionInfo:

@@ -32,15 +32,15 @@ VERSIONED_PACKAGES = (
 @router.get("/system", dependencies=[require_role(Role.VIEWER)])
 async def system(request: Request) -> System:
     """Return versions, machine, workers, and the configuration in use (read-only)."""
-    station = get_tool_service(request)
-    plan = station.plan
+    tool_service = get_tool_service(request)
+    plan = tool_service.plan
     return System(
         versions={"graspwatch": __version__, "python": platform.python_version()}
         | {package: version(package) for package in VERSIONED_PACKAGES},
         machine=f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
-        started_at=station.started_at,
-        workers=station.worker_conditions(),
-        realtime=station.realtime,
+        started_at=tool_service.started_at,
+        workers=tool_service.worker_conditions(),
+        realtime=tool_service.realtime,
         data_folder=str(plan.data_folder),
         free_disk_bytes=free_bytes(plan.data_folder),
         tool=plan.tool.model_dump(mode="json"),

@@ -27,15 +27,15 @@ MAX_PREVIEW_POINTS = 200
 )
 async def health(request: Request, response: Response) -> Health:
     """Return the service's health: ready once the filters are compiled and samples arrive."""
-    station = get_tool_service(request)
-    workers = station.worker_conditions()
-    phase = station.phase
+    tool_service = get_tool_service(request)
+    workers = tool_service.worker_conditions()
+    phase = tool_service.phase
     if phase is Phase.FAULTED:
-        texts = station.alarms.technical_alarm_texts()
-        status, detail = "faulted", station.internal_error or "; ".join(texts) or "a worker is down"
+        texts = tool_service.alarms.technical_alarm_texts()
+        status, detail = "faulted", tool_service.internal_error or "; ".join(texts) or "a worker is down"
     elif phase is Phase.STARTING:
-        texts = station.alarms.technical_alarm_texts()
-        waiting_for = "opening the tool" if station.estimator_ready.is_set() else "preparing the filters"
+        texts = tool_service.alarms.technical_alarm_texts()
+        waiting_for = "opening the tool" if tool_service.estimator_ready.is_set() else "preparing the filters"
         status, detail = "starting", "; ".join(texts) or waiting_for
     else:
         status, detail = "ready", phase.value

@@ -48,16 +48,16 @@ def build_replay_cache(
     with recording, (folder / COLUMNS_FILE).open("wb") as samples, (folder / MESSAGES_FILE).open("wb") as told:
         shape = recording.sample_count, columns
         np.lib.format.write_array_header_1_0(samples, {"descr": "<f4", "fortran_order": False, "shape": shape})
-        film = _ReplayCacheWriter(samples, told, tool, library)
+        cache = _ReplayCacheWriter(samples, told, tool, library)
         pipeline, session = ConditioningPipeline(tool, settings.conditioning), TissueEstimator(tool, library, settings)
         while (raw := recording.read_block()) is not None:
             for block in _split_block(pipeline.process(raw)):
-                film.append(block, session.process(block))
-            if film.rows >= (shown + PROGRESS_STEP) * recording.sample_count:
-                shown = film.rows / recording.sample_count
+                cache.append(block, session.process(block))
+            if cache.rows >= (shown + PROGRESS_STEP) * recording.sample_count:
+                shown = cache.rows / recording.sample_count
                 send(shown)
-        film.finish(session.finish())
-    film.save_index(folder / INDEX_FILE)
+        cache.finish(session.finish())
+    cache.save_index(folder / INDEX_FILE)
 
 
 def _check_disk_space(folder: Path, needed_bytes: int) -> None:

@@ -112,7 +112,7 @@ class ReplayCacheStore:
 
     async def aclose(self) -> None:
         """Cancel all builds."""
-        films = [showing.build_task for showing in self._entries.values()]
-        for film in films:
-            film.cancel()
-        await asyncio.gather(*films, return_exceptions=True)
+        tasks = [entry.build_task for entry in self._entries.values()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)

@@ -61,14 +61,14 @@ class ReplayPlayer:
 
     def _send_initial_messages(self) -> None:
         """Send the messages and frames that a viewer needs at this position."""
-        shown, film = self._playhead.shown_tick, self._cache
+        shown, cache = self._playhead.shown_tick, self._cache
         self._viewer.drop_frames()
         greeting = build_hello(self._plan, self._cache.tool, recording=True)
         self._send(greeting.model_copy(update={"server_time_ms": self._position_ms}))
         self._send(self._build_state())
-        for message in film.initial_messages(shown):
+        for message in cache.initial_messages(shown):
             self._viewer.send(message)
-        history = int(self._plan.settings.server.history_s * film.rate_hz)
+        history = int(self._plan.settings.server.history_s * cache.rate_hz)
         self._send_samples(FrameKind.HISTORY, max(shown - history, 0), shown)
 
     def _send_range(self, begin: int, end: int) -> None:
