@@ -169,9 +169,9 @@ class FilterBank:
     def start(self, first: ContactStart, strain_var: float | None = None) -> None:
         """Begin a grasp at its first sample in contact.
 
-        `strain_var`, V², is the measured strain noise; None for the tool file's. Contact itself came earlier: for a
-        touch sensor by a small fixed compression, for contact found from the force by the compression at which each
-        tissue reaches a detectable force. In both cases x + offset + strain noise is the measured zero.
+        `strain_var`, V², is the measured strain noise, None for the tool file's. Contact itself came earlier by a small
+        compression. For contact found from the force, the compression that makes each tissue detectable is added. In
+        both cases x + offset + strain noise is the measured zero.
         """
         k = len(self._guess)
         mean, cov = np.zeros((k, STATE_COUNT)), np.zeros((k, STATE_COUNT, STATE_COUNT))

@@ -1,6 +1,6 @@
 """A particle filter, the paper's future work: particles over the parameters of every tissue and of `unknown`.
 
-Each particle has fixed parameters and estimates displacement, velocity, offset and strain noise with a small Kalman
+Each particle has fixed parameters. It estimates displacement, velocity, offset and strain noise with a small Kalman
 filter (Rao-Blackwellized), so a few hundred particles per tissue suffice. If the weights degenerate, the particles of a
 tissue are resampled and jittered with a shrunken kernel (Liu and West).
 """
