@@ -1,1 +1,1 @@
-"""What every stage is told: schema, loader, errors, and the shipped tools, tissues and protocols."""
+"""Configuration: schema, loader, errors, and the shipped tools, tissues and protocols."""

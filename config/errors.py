@@ -1,20 +1,20 @@
-"""The errors a user can meet. Each text says what is wrong and what to do next; each leaf has its exit code."""
+"""The errors a user can meet. Each text says what is wrong and what to do next; each class has its exit code."""
 
 
 class GraspwatchError(Exception):
-    """Base of every error that is told to the user in one message, without a traceback."""
+    """Base of every error that the user sees as one message, without a traceback."""
 
     exit_code = 1
 
 
 class ConfigurationError(GraspwatchError):
-    """A configuration, tool, library or protocol file is wrong, or a name does not exist."""
+    """A settings, tool, library or protocol file is wrong, or a name does not exist."""
 
     exit_code = 2
 
 
 class RecordingError(GraspwatchError):
-    """A recording cannot be read: names the file, the line and what was expected there."""
+    """A recording cannot be read. The text names the file, the line and the expected content."""
 
     exit_code = 3
 
@@ -26,9 +26,9 @@ class ToolError(GraspwatchError):
 
 
 class RefusedError(GraspwatchError):
-    """A request the tool must not or cannot carry out now (beyond limits, already running).
+    """A request that the tool must not or cannot execute now (beyond limits, already running).
 
-    `field` names the part of the request at fault.
+    `field` names the faulty part of the request.
     """
 
     exit_code = 5
@@ -45,12 +45,12 @@ class ServiceError(GraspwatchError):
 
 
 class JournalError(GraspwatchError):
-    """The journal is not as it was written, or cannot be read: names the first place and what is wrong there."""
+    """The journal was changed or cannot be read. The text names the first faulty place."""
 
     exit_code = 7
 
 
 class CalibrationError(GraspwatchError):
-    """What was measured gives no trustworthy calibration: names what is wrong and what to do; nothing was written."""
+    """The measurement gives no reliable calibration. The text says what to do; no file was written."""
 
     exit_code = 8

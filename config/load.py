@@ -1,4 +1,4 @@
-"""Read configuration files by name or path; every fault of a file is told at once, with its place."""
+"""Load configuration files by name or path; an error lists all faults of a file with their places."""
 
 import difflib
 import json
@@ -13,23 +13,18 @@ from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 
 CONFIG_DIR = Path(__file__).parent
 
-UNION_TAGS = (
-    "trapezoid",
-    "sine",
-    "custom",
-    "table",
-    "number",
-)  # pydantic puts them into a fault's place; the file does not
+# pydantic adds these tags to a fault's place, but the file does not contain them
+UNION_TAGS = ("trapezoid", "sine", "custom", "table", "number")
 
 MAX_CHARACTERS = 2**24  # a learned library has some hundred thousand
-MAX_NESTING_DEPTH = 50  # tables and arrays within each other; a file of ours has five
-MAX_LISTED_ERRORS = 100  # told at a time
+MAX_NESTING_DEPTH = 50  # depth of nested tables and arrays; the shipped files have five
+MAX_LISTED_ERRORS = 100
 
 ModelT = TypeVar("M", bound=BaseModel)
 
 
 def load_settings(path: Path | None = None) -> Settings:
-    """The service's settings from `path`, or the shipped `graspwatch.toml`."""
+    """Load the service's settings from `path`, or from the shipped `graspwatch.toml`."""
     return load_file(path or CONFIG_DIR / "graspwatch.toml", Settings)
 
 
@@ -38,7 +33,7 @@ def load_tool(name: str) -> Tool:
 
 
 def find_tool_file(name: str) -> Path:
-    """Where the tool's file lies, by its name or its path."""
+    """Return the path of a tool file from its name or path."""
     return _find_file(name, "tools", "tool")
 
 
@@ -47,7 +42,7 @@ def load_library(name: str) -> TissueLibrary:
 
 
 def build_graspable_library(library: TissueLibrary) -> TissueLibrary:
-    """What a simulated grasper can be told to hold: the library's tissues, and things that are not in it."""
+    """Return a library of everything that a simulated grasper can hold: its tissues, and things outside the library."""
     out_of_library = load_library("strangers")
     others = {
         name: profile.model_copy(update={"spread": out_of_library.spread_of(name)})
@@ -62,20 +57,20 @@ def load_protocol(name: str) -> GraspProtocol:
 
 
 def list_shipped_names(folder: str) -> list[str]:
-    """Names of the shipped files in `tools`, `tissues` or `protocols`."""
+    """Return the names of the shipped files in `tools`, `tissues` or `protocols`."""
     return sorted(path.stem for path in (CONFIG_DIR / folder).glob("*.toml"))
 
 
 def read_modification_times(folder: str) -> tuple[int, ...]:
-    """When the shipped files in `tools`, `tissues` or `protocols` were changed last, ns each."""
+    """Return the modification times of the shipped files in `tools`, `tissues` or `protocols`, ns."""
     return tuple(path.stat().st_mtime_ns for path in sorted((CONFIG_DIR / folder).glob("*.toml")))
 
 
 def require_known_name(name: str, names: list[str], what: str) -> str:
-    """`name` if it is one of `names`.
+    """Return `name` if it is one of `names`.
 
     Raises:
-        ConfigurationError: it is not; the text says what there is.
+        ConfigurationError: it is not; the text lists the names.
     """
     if name in names:
         return name
@@ -89,7 +84,7 @@ def _load_named(name: str, folder: str, what: str, model: type[ModelT]) -> Model
 
 
 def _find_file(name: str, folder: str, what: str) -> Path:
-    """A shipped file by its name, or any file by its path (recognised by `/` or `.toml`)."""
+    """Return a shipped file by its name, or any file by its path (recognized by `/` or `.toml`)."""
     if name.endswith(".toml") or "/" in name:
         return Path(name)
     return CONFIG_DIR / folder / f"{require_known_name(name, list_shipped_names(folder), what)}.toml"
@@ -99,7 +94,7 @@ def load_file(path: Path, model: type[ModelT]) -> ModelT:
     """Parse and validate one TOML file.
 
     Raises:
-        ConfigurationError: the file is missing, is no TOML, or has faults; all faults are listed with their keys.
+        ConfigurationError: the file is missing, is not TOML, or has faults; the text lists all faults with their keys.
     """
     try:
         content = tomllib.loads(_read_text(path))
@@ -109,18 +104,18 @@ def load_file(path: Path, model: type[ModelT]) -> ModelT:
         raise ConfigurationError(f"{path}: there is no such file. Check the path.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read as a text file ({error}).") from None
-    except (tomllib.TOMLDecodeError, ValueError) as error:  # the latter for a number of thousands of digits
+    except (tomllib.TOMLDecodeError, ValueError) as error:  # ValueError: a number with thousands of digits
         raise ConfigurationError(f"{path}: is not valid TOML: {error}.") from None
     except RecursionError:
         raise ConfigurationError(f"{path}: holds tables within tables without end. Check the file.") from None
-    try:  # through JSON: its strict mode takes arrays for tuples and strings for enums, but no "5" for 5
+    try:  # via JSON, whose strict mode accepts arrays for tuples and strings for enums, but not "5" for 5
         return model.model_validate_json(as_json)
     except ValidationError as error:
         raise ConfigurationError(describe_validation_errors(str(path), error, model)) from None
 
 
 def _check_nesting_depth(content: dict[str, Any]) -> None:
-    """Raise RecursionError where tables or arrays are nested too deep, as parsers do at a depth of their own."""
+    """Raise RecursionError if tables or arrays are nested too deep, as parsers do at their own limit."""
     level: list[Any] = [content]
     for _ in range(MAX_NESTING_DEPTH):
         inside = (each.values() if isinstance(each, dict) else each for each in level)
@@ -139,7 +134,7 @@ def _read_text(path: Path) -> str:
 
 
 def describe_validation_errors(where: str, error: ValidationError, model: type[BaseModel]) -> str:
-    """One line a fault: file, key, what is wrong, and the nearest valid key where a key is unknown."""
+    """Return one line per fault with file, key and fault, and the most similar valid key for an unknown key."""
     keys = sorted(_collect_keys(model.model_json_schema()))
     faults = [f"{where}: {_describe_validation_error(fault, keys)}" for fault in error.errors()[:MAX_LISTED_ERRORS]]
     found = error.error_count()
@@ -163,7 +158,7 @@ def _shorten(value: Any) -> str:
 
 
 def _collect_keys(schema: Any) -> set[str]:
-    """Every property name anywhere in a JSON schema."""
+    """Return every property name in a JSON schema."""
     if isinstance(schema, list):
         return set().union(*(_collect_keys(item) for item in schema))
     if not isinstance(schema, dict):

@@ -1,4 +1,4 @@
-"""Names and addresses of computers: what an authority (RFC 3986, `host:port`) says, and which are this computer's."""
+"""Host names and addresses: parse an authority (RFC 3986, `host:port`), and recognize this computer."""
 
 import ipaddress
 import re
@@ -13,17 +13,17 @@ MAX_PORT = 65_535
 
 
 class Authority(NamedTuple):
-    """`host` is in lower case, an IPv6 address in brackets; no port: that of the scheme."""
+    """Host in lower case, an IPv6 address in brackets, and port; None for the scheme's default port."""
 
     host: str
     port: int | None = None
 
 
 def parse_authority(text: str) -> Authority | None:
-    """Read `host` or `host:port`; None if it is not exactly that.
+    """Parse `host` or `host:port`; return None if the text is anything else.
 
-    Names are ASCII without a dot at the end (an international one in its `xn--` form), IPv6 addresses stand in
-    brackets. User names, spaces, empty ports and zones are refused: nothing is repaired, and nothing left out.
+    Names are ASCII without a final dot (an international one in its `xn--` form), IPv6 addresses are in brackets. User
+    names, spaces, empty ports and zones are refused; nothing is repaired or ignored.
     """
     found = _AUTHORITY.fullmatch(text)
     if found is None:
@@ -35,7 +35,7 @@ def parse_authority(text: str) -> Authority | None:
 
 
 def format_host(address: str) -> str:
-    """An address of a socket, or a name, as the host of an authority: an IPv6 address in brackets."""
+    """Return a socket's address or a name as the host of an authority: an IPv6 address in brackets."""
     return f"[{address}]" if ":" in address and not address.startswith("[") else address
 
 
@@ -50,10 +50,10 @@ def is_loopback(host: str) -> bool:
 
 
 def is_this_computer(host: str) -> bool:
-    """Whether a connection to `host` stays on this computer, however that is spelled: it needs no proxy then.
+    """Return whether a connection to `host` stays on this computer, so that it needs no proxy.
 
-    `localhost` and what ends in it (RFC 6761), 127.0.0.0/8 also in its short forms (127.1), ::1, and the unspecified
-    address, which connects here as well. No name is looked up.
+    This holds for `localhost` and names that end in it (RFC 6761), 127.0.0.0/8 also in its short forms (127.1), ::1,
+    and the unspecified address. No name is looked up.
     """
     name = host.strip("[]").rstrip(".").lower()
     if name == "localhost" or name.endswith(".localhost"):

@@ -1,4 +1,4 @@
-"""Typed shape of every configuration file. Units stand in the names; unknown keys are refused."""
+"""Typed models of every configuration file. Names contain the units; unknown keys are refused."""
 
 import datetime
 import hashlib
@@ -29,12 +29,12 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Slug = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
-NameTuple = Annotated[tuple[str, ...], Field(strict=False)]  # an array, also behind a validator that comes before
+NameTuple = Annotated[tuple[str, ...], Field(strict=False)]  # accepts a list, also after a `before` validator
 GrpcAddress = Annotated[str, Field(pattern=r"^([A-Za-z0-9.-]+|\[[0-9a-fA-F:]+\]):\d{1,5}$")]
 
 
 class ConfigModel(BaseModel):
-    """Base of all configuration: immutable, no unknown keys, no silent conversion of text to numbers."""
+    """Base of all configuration models: immutable, no unknown keys, no silent conversion of text to numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -54,20 +54,20 @@ class Board(ConfigModel):
     device: str = "Dev1"
     """The board's name in NI MAX."""
     product: str = "PCI-6230"
-    """What the board has to be; `graspwatch check` compares."""
+    """Required product name of the board; `graspwatch check` compares it."""
     sample_rate_hz: Positive = 1000.0
     """Samples a second of every channel; the estimator is tuned for 1000."""
     block_samples: Annotated[int, Field(ge=1, le=100)] = 5
-    """Samples that are read, judged and answered together."""
+    """Samples that are read and processed together."""
     grpc_address: GrpcAddress | None = None
-    """`host:port` of an NI gRPC device server that has the board, instead of the driver of this computer. On another
-    computer the connection has to be encrypted: name `grpc_ca`."""
+    """`host:port` of an NI gRPC device server with the board, instead of this computer's driver. A connection to
+    another computer must be encrypted: set `grpc_ca`."""
     grpc_ca: str | None = None
-    """Certificate (PEM file) that the device server's is checked against; with it the connection is encrypted."""
+    """Certificate (PEM file) for checking the device server's certificate; it encrypts the connection."""
     grpc_cert: str | None = None
-    """This computer's own certificate (PEM file), where the server asks for one; with `grpc_key`."""
+    """This computer's own certificate (PEM file), if the server asks for one; needs `grpc_key`."""
     grpc_key: str | None = None
-    """Key (PEM file) of `grpc_cert`."""
+    """Private key (PEM file) of `grpc_cert`."""
 
     @model_validator(mode="after")
     def _is_encrypted(self) -> Self:
@@ -91,15 +91,15 @@ class Channels(ConfigModel):
     strain: str = "ai0"
     """Amplified strain gage."""
     motor_command_readback: str = "ai2"
-    """The motor command, wired back from `motor_command`."""
+    """Motor command, wired back from `motor_command`."""
     touch: tuple[str, str] = ("ai3", "ai1")
-    """Touch sensors of the two jaws; on analog inputs, as the digital lines of the PCI-6230 have no clock."""
+    """Touch sensors of the two jaws; on analog inputs, because the digital lines of the PCI-6230 have no clock."""
     encoder: str = "ctr0"
     """Counter with the quadrature encoder."""
     motor_command: str = "ao0"
     """Motor command to the amplifier."""
     analog_range_v: Positive = 10.0
-    """Inputs span ± this, V; one of the board's ranges."""
+    """Input range of ± this, V; one of the board's ranges."""
 
 
 class Geometry(ConfigModel):
@@ -116,62 +116,62 @@ class Geometry(ConfigModel):
     l2_m: Positive
     """L2 of the linkage, m."""
     l_jaw_m: Positive
-    """From the jaw's axis to where it grasps, m."""
+    """Distance from the jaw's axis to the grasping point, m."""
     beta0_deg: Positive
     """Angle of the linkage with the jaws open, degrees."""
     opening_m: Positive | None = None
-    """Gap between the open jaws, m: the encoder's zero. Without it thickness is no evidence. `calibrate geometry`."""
+    """Gap between the open jaws (encoder at zero), m. Without it thickness is no evidence. `calibrate geometry`."""
 
 
 class ConstantMeasurement(ConfigModel):
-    """How a constant of the tool file was measured: by `graspwatch calibrate`."""
+    """Measurement of a constant of the tool file by `graspwatch calibrate`."""
 
     constant: Slug
-    """Its key in the file."""
+    """Key of the constant in the file."""
     value: Finite
-    """The constant, in `unit`."""
+    """Value of the constant, in `unit`."""
     low: Finite
-    """Lower end of its 95 % confidence interval."""
+    """Lower end of its 95 % confidence interval, in `unit`."""
     high: Finite
-    """Upper end of it."""
+    """Upper end of its 95 % confidence interval, in `unit`."""
     unit: str
-    """Of the three."""
+    """Unit of `value`, `low` and `high`."""
     residual: NonNegative
-    """What the fit leaves (RMS), in `residual_unit`."""
+    """RMS residual of the fit, in `residual_unit`."""
     residual_unit: str
-    """Of the residual."""
+    """Unit of `residual`."""
     readings: Annotated[int, Field(ge=1)]
-    """How many readings were fitted."""
+    """Number of fitted readings."""
     date: datetime.date
     """Day of the measurement."""
     person: str
-    """Who measured."""
+    """Name of the person who measured."""
     expires: datetime.date
-    """From this day on it is to be measured anew."""
+    """Day from which the constant must be measured again."""
 
 
 EQ2_MIN_SCALE, EQ2_MAX_SCALE = 0.05, 1.0
-"""Scales that the paper allows: a constant 0.59 N/V where Eq. (2) gives 12 N/V, and the equation as printed."""
+"""Range of scales that the paper allows: from 0.59 N/V, where Eq. (2) gives 12 N/V, to Eq. (2) as printed."""
 
 
 class ForceScale(ConfigModel):
-    """The scale of newtons: jaw force is Eq. (2) times this. A calibration value with an interval."""
+    """The force scale, with an interval: jaw force is Eq. (2) times this factor."""
 
     value: Positive
-    """What forces on the screen, in files and in reports are Eq. (2) times."""
+    """Factor for forces on the screen, in files and in reports."""
     low: Positive
-    """Least that the scale may be."""
+    """Lower end of the scale's interval."""
     high: Positive
-    """Most that it may be: limiter, force ceiling and force alarms reckon with it."""
+    """Upper end of the scale's interval; limiter, force ceiling and force alarms calculate with it."""
     measured: bool
-    """Whether it was measured on this tool, against a reference between the jaws. Only then a real tool is armed, or by
-    an admin's override."""
+    """Whether the scale was measured on this tool, against a reference between the jaws. If not, only an admin's
+    override can arm a real tool."""
     source: Annotated[str, Field(min_length=1)]
-    """How it was measured, or whose assumption it is."""
+    """Method of the measurement, or author of the assumption."""
     date: datetime.date | None = None
     """Day of the measurement."""
     expires: datetime.date | None = None
-    """From this day on it is to be measured anew."""
+    """Day from which the scale must be measured again."""
 
     @model_validator(mode="after")
     def _is_an_interval(self) -> Self:
@@ -183,7 +183,7 @@ class ForceScale(ConfigModel):
 
 
 def _add_default_interval(scale: ForceScale | float) -> ForceScale:
-    """The scale of a tool file that states a number alone: not measured, and nothing narrows its interval."""
+    """Return the scale; a number alone becomes a scale that was not measured, with the widest interval."""
     if isinstance(scale, ForceScale):
         return scale
     return ForceScale(
@@ -207,48 +207,48 @@ ForceScaleOrNumber = Annotated[
 
 
 class ToolCalibration(ConfigModel):
-    """Eqs. (1), (3) and (5), and the rest voltage that is tared away.
+    """Constants of Eqs. (1), (3) and (5), and the strain gage's voltage at rest.
 
-    Date, person and expiry are those of the constants that have no table of their own in `measured`.
+    Date, person and expiry apply to constants without a table of their own in `measured`.
     """
 
     newton_per_volt: Positive
-    """Pull on the handle for each volt of the strain gage over rest, Eq. (1). `calibrate strain`."""
+    """Pull on the handle per volt of the strain gage over rest, Eq. (1). `calibrate strain`."""
     encoder_deg_per_volt: NonNegative
-    """How far the cable's stretch turns the encoder for each volt, Eq. (3). `calibrate stretch`."""
+    """Turn of the encoder by the cable's stretch, degrees per volt, Eq. (3). `calibrate stretch`."""
     handle_per_encoder: Positive
-    """Degrees of the handle for each of the encoder, Eq. (5). `calibrate geometry`."""
+    """Degrees of the handle per degree of the encoder, Eq. (5). `calibrate geometry`."""
     jaw_force_scale: ForceScaleOrNumber = _add_default_interval(1.0)
-    """Jaw force is Eq. (2) times this. A number alone is one that was not measured."""
+    """Jaw force is Eq. (2) times this. A number alone counts as not measured."""
     rest_offset_v: Finite
-    """What the strain gage reads at rest, V. `calibrate tare`."""
+    """Voltage of the strain gage at rest, V. `calibrate tare`."""
     rest_tolerance_v: Positive
-    """A rest voltage further off is not taken for a tare, V."""
+    """Largest distance of a tare from `rest_offset_v`, V."""
     encoder_counts_per_rev: Annotated[int, Field(gt=0)]
-    """Pulses of the encoder for each turn of its shaft; each counts four times."""
+    """Pulses of the encoder per turn of its shaft; each gives four counts."""
     encoder_gear_ratio: Positive
-    """Turns of the encoder's shaft for each of the gearbox."""
+    """Turns of the encoder's shaft per turn of the gearbox."""
     date: str
-    """Day on which the constants were measured that are not in `measured`."""
+    """Day of the measurement of the constants that are not in `measured`."""
     person: str
-    """Who measured them."""
+    """Name of the person who measured them."""
     expires: datetime.date | None = None
-    """From this day on they are to be measured anew."""
+    """Day from which they must be measured again."""
     measured: tuple[ConstantMeasurement, ...] = ()
-    """How constants were measured: one table each, with its own date and expiry."""
+    """Measurements of constants: one table each, with its own date and expiry."""
 
     def is_rest_voltage(self, strain_v: float) -> bool:
-        """Whether the gage may read that at rest; False for NaN."""
+        """Return whether the voltage is plausible for a gage at rest; False for NaN."""
         return abs(strain_v - self.rest_offset_v) <= self.rest_tolerance_v
 
     @property
     def encoder_resolution_deg(self) -> float:
-        """Degrees after the gearbox for one quadrature count."""
+        """Degrees after the gearbox per quadrature count."""
         return 360.0 / (self.encoder_counts_per_rev * 4 * self.encoder_gear_ratio)
 
 
 class SensorNoise(ConfigModel):
-    """What one raw sample scatters by; the estimator's noise model and the simulated board's noise."""
+    """Noise of one raw sample, for the estimator's noise model and for the simulated board."""
 
     strain_sd_v: Positive
     """Standard deviation of the strain gage at rest, V. `calibrate tare`."""
@@ -257,17 +257,17 @@ class SensorNoise(ConfigModel):
 
     @property
     def strain_var_v2(self) -> float:
-        """Variance of one sample, V²: noise, and rounding to the converter's step."""
+        """Variance of one sample, V²: noise and rounding to the converter's step."""
         return self.strain_sd_v**2 + self.strain_lsb_v**2 / 12
 
 
 class ToolLimits(ConfigModel):
-    """Hard bounds of the tool, kept by the acquisition worker itself."""
+    """Hard bounds of the tool, which the acquisition worker enforces."""
 
     max_command_v: Positive
     """Highest motor command, V."""
     max_command_v_per_s: Positive = 60.0
-    """Fastest rise of it, V/s; down to zero nothing is ever slowed."""
+    """Fastest rise of the motor command, V/s; its fall is not limited."""
     force_ceiling_n: Positive
     """Jaw force over which a run ends with a fault, N."""
     max_run_s: Positive
@@ -280,7 +280,7 @@ class CommandToForce(ConfigModel):
     command_v: tuple[NonNegative, ...]
     """Motor commands, V, rising from 0."""
     force_n: tuple[NonNegative, ...]
-    """Jaw force at each, N, rising from 0."""
+    """Jaw force at each command, N, rising from 0."""
 
     @model_validator(mode="after")
     def _rises_from_zero(self) -> Self:
@@ -300,71 +300,71 @@ class CommandToForce(ConfigModel):
 
 
 def _interpolate_beyond(at: np.ndarray | float, xs: tuple[float, ...], ys: tuple[float, ...]) -> np.ndarray:
-    """Linear interpolation that goes on with the last slope beyond the last point."""
+    """Interpolate linearly, and extrapolate beyond the last point with the last slope."""
     slope = (ys[-1] - ys[-2]) / (xs[-1] - xs[-2])
     return np.interp(at, xs, ys) + slope * np.maximum(np.asarray(at, float) - xs[-1], 0.0)
 
 
 class ContactDetection(ConfigModel):
-    """How contact with tissue and shut jaws are told."""
+    """Detection of contact with tissue and of jaw closure."""
 
     touch_trusted: bool
-    """Whether the touch sensors tell contact; else the force does."""
+    """Whether the touch sensors detect contact; if not, the force does."""
     touch_threshold_v: Positive = 2.5
-    """A touch sensor over this senses contact, V."""
+    """Voltage of a touch sensor over which it detects contact, V."""
     force_rise_v: Positive
-    """Rise of the strain gage that tells contact, V."""
+    """Rise of the strain gage that shows contact, V."""
     force_rise_samples: Annotated[int, Field(ge=1)] = 8
-    """So many samples in a row have to show it."""
+    """Number of consecutive samples that must show the rise."""
     wall_above_v: Positive
-    """Jaws are not taken for shut below this strain, V."""
+    """Strain over rest below which the jaws never count as shut, V."""
     wall_span_v: Positive
-    """Rise of strain over which the slope of shut jaws is measured, V."""
+    """Rise of strain over which the slope for jaw closure is measured, V."""
     wall_slack_deg_per_volt: Positive
-    """Encoder travel beyond the cable's stretch that shut jaws may still show, degrees a volt."""
+    """Encoder travel beyond the cable's stretch that is allowed at jaw closure, degrees per volt."""
     slip_share: Probability
-    """An encoder that moves by less than this share of the cable's stretch slips."""
+    """Share of the cable's stretch: an encoder that moves less slips."""
     walk_deg: Positive
-    """An encoder whose rest moves by more than this between grasps walks, degrees."""
+    """Change of the encoder's rest position between grasps over which the encoder walks, degrees."""
 
 
 class SensorPlausibility(ConfigModel):
-    """What the sensors of a sound tool stay within: beyond it the force or the jaws are not known.
+    """Limits of plausible sensor signals; beyond them the force or the jaw position is not known.
 
-    The defaults are for the Smart Tool as recorded in 2013, whose own vibration comes to 0.25 V in 3 ms.
+    The defaults are for the Smart Tool as recorded in 2013, whose own vibration reaches 0.25 V in 3 ms.
     """
 
     strain_step_v: Positive = 0.4
-    """Jump between the medians of three samples and the next three, V."""
+    """Largest jump between the medians of three samples and of the next three, V."""
     strain_scatter_v: Positive = 0.35
-    """Second difference of the noise, the median of ten, V."""
+    """Largest noise: median of seven second differences, V."""
     strain_below_rest_v: Positive = 1.2
-    """How far below rest the gage may read, V."""
+    """Largest distance of the strain gage below rest, V."""
     rest_drift_v: Positive = 0.8
-    """How far the rest may move between grasps, V."""
+    """Largest distance of the rest voltage from the tare between grasps, V."""
     encoder_step_deg: Positive = 2.0
-    """From sample to sample, degrees."""
+    """Largest step of the encoder from sample to sample, degrees."""
     encoder_back_deg: Positive = 25.0
-    """In a grasp, behind its beginning, without the cable's stretch, degrees."""
+    """Largest travel of the encoder behind the grasp's beginning, without the cable's stretch, degrees."""
     encoder_stuck_v: Positive = 0.04
-    """Change of strain while the encoder does not move by a count, V."""
+    """Largest change of strain while the encoder does not move by a count, V."""
 
 
 class GrasperMechanics(ConfigModel):
-    """Mechanics that the simulated tool adds to the tissue: drive lag, free travel, opening."""
+    """Mechanics of the simulated tool: drive lag, free travel, opening."""
 
     drive_lag_s: Positive
     """Time constant from motor command to drive force, s."""
     contact_lag_s: Positive
     """Time constant from drive force to the force on the tissue, s."""
     free_drag_kg_per_s: Positive
-    """Drag of the jaws that touch nothing, kg/s."""
+    """Drag of the jaws before contact, kg/s."""
     free_travel_m: Positive
-    """The jaws move at least so far before they touch, m."""
+    """Least travel of the jaws before contact, m."""
     opening_time_s: Positive
     """Time constant of the return spring, s."""
     spread_scale: NonNegative = 1.0
-    """Scatter of the specimens, times the library's."""
+    """Scatter of the simulated specimens, as a multiple of the library's spread."""
 
 
 CALIBRATION_UNIT_KEYS = ("newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder")
@@ -377,13 +377,13 @@ CALIBRATION_COMMANDS = {
     "rest_offset_v": "tare",
     "strain_sd_v": "tare",
 }
-"""Constants of a tool file, and which `graspwatch calibrate` measures each."""
+"""Constants of a tool file, and the `graspwatch calibrate` command that measures each."""
 FORCE_SCALE_KEY = "jaw_force_scale"
 
 
 @dataclass(frozen=True, slots=True)
 class ConstantOrigin:
-    """When a constant of the tool file was measured, by whom, and from which day on it is to be measured anew."""
+    """Origin of a constant of the tool file: date and person of its measurement, and the day of its expiry."""
 
     constant: str
     value: float
@@ -399,11 +399,11 @@ class Tool(ConfigModel):
     """A tool file: board, channels, geometry, calibration, noise, limits."""
 
     name: Slug
-    """Short name, in recordings and in the journal."""
+    """Short name, for recordings and the journal."""
     title: str
-    """Name for people."""
+    """Name on screens and in reports."""
     kind: ToolKind
-    """`simulated`; `nidaq`: a board behind NI-DAQmx; `recording`: only for reading recordings."""
+    """`simulated`; `nidaq`: a board with NI-DAQmx; `recording`: only for reading recordings."""
     board: Board = Board()
     channels: Channels = Channels()
     geometry: Geometry
@@ -417,35 +417,38 @@ class Tool(ConfigModel):
 
     @property
     def calibration_fingerprint(self) -> str:
-        """16 hexadecimal digits of what turns volts and degrees into forces and travel: a learned library's units."""
+        """Hash (16 hexadecimal digits) of all constants that turn volts and degrees into forces and travel.
+
+        It identifies the units of a learned library.
+        """
         calibration = self.calibration.model_dump(include=set(CALIBRATION_UNIT_KEYS))
         calibration[FORCE_SCALE_KEY] = self.calibration.jaw_force_scale.value
         geometry = self.geometry.model_dump(exclude={"opening_m"})
-        simulated = self.kind is ToolKind.SIMULATED  # its drive and jaws are no real tool's, whatever its constants
+        simulated = self.kind is ToolKind.SIMULATED  # differs from a real tool even with equal constants
         content = json.dumps([simulated, calibration, geometry, self.board.sample_rate_hz], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     @property
     def max_force_factor(self) -> float:
-        """How many times the shown force the true one may be: upper end of the scale's interval over its value.
+        """Highest ratio of true to displayed force: upper end of the force scale's interval over its value.
 
-        Exactly 1 for a simulated tool, whose jaws and sensors are made with the same scale.
+        It is 1 for a simulated tool, whose jaws and sensors use the same scale.
         """
         scale = self.calibration.jaw_force_scale
         return 1.0 if self.kind is ToolKind.SIMULATED else scale.high / scale.value
 
     def to_displayed_n(self, jaw_force_n: float) -> float:
-        """The shown force at which the true one may be `jaw_force_n` already, N: what protects tissue acts there."""
+        """Return the displayed force at which the true force may be `jaw_force_n`, N; protection acts there."""
         return jaw_force_n / self.max_force_factor
 
     @property
     def has_known_scale(self) -> bool:
-        """Whether the motor may be armed: newtons are measured, simulated, or move nothing."""
+        """Whether the force scale permits arming: it is measured, or the tool has no real motor."""
         return self.kind is not ToolKind.NIDAQ or self.calibration.jaw_force_scale.measured
 
     @property
     def scale_text(self) -> str:
-        """By which scale newtons are told, for people."""
+        """Description of the force scale, for people."""
         scale = self.calibration.jaw_force_scale
         value, low, high = (float(f"{each:.3g}") for each in (scale.value, scale.low, scale.high))
         if self.kind is ToolKind.SIMULATED:
@@ -455,7 +458,7 @@ class Tool(ConfigModel):
 
     @property
     def constant_origins(self) -> tuple[ConstantOrigin, ...]:
-        """The age of every constant that a calibration measures; what has no date of its own has the file's."""
+        """Origin of every constant that a calibration measures; without a measurement of its own, the file's."""
         calibration, scale = self.calibration, self.calibration.jaw_force_scale
         own = {how.constant: how for how in calibration.measured}
         values = calibration.model_dump(include=set(CALIBRATION_COMMANDS))
@@ -476,7 +479,7 @@ class Tool(ConfigModel):
         return tuple(ages)
 
     def find_expired_constants(self, today: datetime.date) -> list[ConstantOrigin]:
-        """Constants that are to be measured anew."""
+        """Return the constants that must be measured again."""
         return [each for each in self.constant_origins if each.is_expired(today)]
 
     @model_validator(mode="after")
@@ -490,7 +493,7 @@ class Tool(ConfigModel):
 
 
 class ParameterSpread(ConfigModel):
-    """Standard deviations of the natural logarithms of the parameters from specimen to specimen."""
+    """Standard deviations of the parameters' natural logarithms from specimen to specimen."""
 
     log_alpha: Positive
     log_beta: Positive
@@ -503,18 +506,18 @@ class LearnedRecording(ConfigModel):
 
     file: str
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    grasps: Annotated[int, Field(ge=1)]  # that were learned from
-    left_out: tuple[str, ...] = ()  # grasps that were not, and why
+    grasps: Annotated[int, Field(ge=1)]  # number of grasps that were learned from
+    left_out: tuple[str, ...] = ()  # other grasps, with the reason
     ramp_v_per_s: Positive
-    centre: tuple[Finite, ...] = Field(min_length=1)  # of `Learned.features`
+    centre: tuple[Finite, ...] = Field(min_length=1)  # of `LearnedLibrary.features`
 
 
 class LearnedTissue(ConfigModel):
-    """What recordings say of a tissue, in the units of their tool's calibration."""
+    """A tissue's statistics from recordings, in the units of their tool's calibration."""
 
     grasps: Annotated[int, Field(ge=1)]
-    log_covariance: tuple[tuple[Finite, ...], ...]  # of log alpha, log beta, log d, log thickness from grasp to grasp
-    contact_measured: bool  # whether thickness is; else it is the base library's, and so is its spread
+    log_covariance: tuple[tuple[Finite, ...], ...]  # of log alpha, log beta, log d, log thickness between grasps
+    contact_measured: bool  # False: thickness and its spread are the base library's
     loading_covariance: tuple[tuple[Finite, ...], ...]  # of the loading curve's features within a recording
     recordings: tuple[LearnedRecording, ...] = Field(min_length=1)
 
@@ -543,15 +546,15 @@ LOADING_FEATURES = ("opening", "force_40deg", "force_5deg", "knee", "lean", "sta
 
 
 class LearnedLibrary(ConfigModel):
-    """Where a library was learned, and what all of its tissues share."""
+    """Origin of a learned library, and the values common to its tissues."""
 
     date: str
     base: str  # library that injury thresholds, mass and jaw area come from
     tool: str
-    calibration: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # of the tool, see `Tool.calibration_fingerprint`
+    calibration: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # `Tool.calibration_fingerprint`
     features: tuple[str, ...] = Field(min_length=1)
     usual_peak_v: Positive  # of the strain gage over rest; shares of force refer to it
-    session_scale: Positive  # from recording to recording of one tissue, in stated units; see docs/learning.md
+    session_scale: Positive  # deviation between recordings of one tissue; see docs/learning.md
 
     @model_validator(mode="after")
     def _are_the_features(self) -> Self:
@@ -563,7 +566,7 @@ class LearnedLibrary(ConfigModel):
 
 
 class TissueProfile(ConfigModel):
-    """u = m x'' + d x' + alpha (exp(beta x) - 1), Eq. (7), and the pressure that injures."""
+    """Parameters of u = m x'' + d x' + alpha (exp(beta x) - 1), Eq. (7), thickness, and injury threshold."""
 
     title: str
     alpha_n: Positive
@@ -576,7 +579,7 @@ class TissueProfile(ConfigModel):
 
 
 class TissueLibrary(ConfigModel):
-    """Tissue profiles that are told apart from each other."""
+    """The tissue profiles among which Graspwatch decides."""
 
     name: Slug
     title: str
@@ -611,10 +614,10 @@ class TissueLibrary(ConfigModel):
         return self
 
     def check_tool(self, tool: Tool) -> None:
-        """Refuse a tool with another calibration than the library was learned with.
+        """Refuse a tool with another calibration than the one that the library was learned with.
 
         Raises:
-            ConfigurationError: what was learned is in the units of another calibration.
+            ConfigurationError: the calibrations differ, so the library has other units.
         """
         if self.learned and self.learned.calibration != tool.calibration_fingerprint:
             raise ConfigurationError(
@@ -628,11 +631,11 @@ class TissueLibrary(ConfigModel):
         return self.tissues[tissue].spread or self.spread
 
     def threshold_n(self, tissue: str) -> float:
-        """Force at which injury begins: threshold pressure times jaw area, N."""
+        """Return the force at which injury begins, N: threshold pressure times jaw area."""
         return self.tissues[tissue].threshold_pa * self.jaw_area_m2
 
     def displayed_thresholds_n(self, tool: Tool) -> dict[str, float]:
-        """The shown force of `tool` at which each tissue may be injured already, N."""
+        """Return the displayed force of `tool` at which each tissue may be injured, N."""
         return {name: tool.to_displayed_n(self.threshold_n(name)) for name in self.tissues}
 
     @property
@@ -644,7 +647,7 @@ class TissueLibrary(ConfigModel):
 
 
 class TrapezoidWaveform(ConfigModel):
-    """Ramp up, hold, ramp down, rest, as motor command."""
+    """Motor command with ramp up, hold, ramp down and rest."""
 
     shape: Literal["trapezoid"]
     peak_v: Positive
@@ -663,7 +666,7 @@ class TrapezoidWaveform(ConfigModel):
 
 
 class SineWaveform(ConfigModel):
-    """Raised cosine of force, A/2 (1 - cos 2 pi f t): the first cycle slow, the rest fast, then rest."""
+    """Raised cosine of force, A/2 (1 - cos 2 pi f t): one slow cycle, then fast cycles, then rest."""
 
     shape: Literal["sine"]
     peak_n: Positive
@@ -682,7 +685,7 @@ class SineWaveform(ConfigModel):
 
 
 class CustomWaveform(ConfigModel):
-    """Straight lines between points of motor command over time; begins and ends at 0 V."""
+    """Motor command as straight lines between points in time; it begins and ends at 0 V."""
 
     shape: Literal["custom"]
     time_s: tuple[NonNegative, ...] = Field(min_length=3)
@@ -709,7 +712,7 @@ class CustomWaveform(ConfigModel):
 
 
 class GraspProtocol(ConfigModel):
-    """A named waveform and how often it is repeated unless told otherwise."""
+    """A named waveform and its default number of repetitions."""
 
     name: Slug
     title: str
@@ -722,10 +725,10 @@ class GraspProtocol(ConfigModel):
 
 
 class ServerSettings(ConfigModel):
-    """Where the service listens, by which names it is asked, and how much it takes.
+    """The server's address, host names and capacity limits.
 
-    `hosts` are names beside localhost, 127.0.0.1, [::1] and the address that it listens on. Where there are tokens and
-    no `hosts`, any name will do. `trusted_proxies` are addresses or networks whose `X-Forwarded-Proto` is believed.
+    `hosts` are names beside localhost, 127.0.0.1, [::1] and the address that it listens on. With tokens and without
+    `hosts`, every name is accepted. `trusted_proxies` are addresses or networks whose `X-Forwarded-Proto` counts.
     """
 
     host: str = "127.0.0.1"
@@ -782,21 +785,21 @@ class ServerSettings(ConfigModel):
 
 
 class PeopleSettings(ConfigModel):
-    """How long a browser stays signed in without a sign of life, and an operator in control without doing anything."""
+    """Expiry of a browser's sign-in without a sign of life, and of an operator's control without an action."""
 
     session_idle_s: Positive = 3600.0
     control_expires_s: Positive = 600.0
 
 
 class ConditioningSettings(ConfigModel):
-    """The paper's low-pass for what people look at: 2nd-order Butterworth at 10 Hz."""
+    """The paper's low-pass filter for displayed signals: 2nd-order Butterworth at 10 Hz."""
 
     butterworth_order: Annotated[int, Field(ge=1, le=4)] = 2
     butterworth_cutoff_hz: Positive = 10.0
 
 
 class IdentificationSettings(ConfigModel):
-    """When a tissue is named, and what is believed before any data."""
+    """Conditions for naming a tissue, and prior probabilities."""
 
     decide_at: Probability = 0.95
     withdraw_below: Probability = 0.85
@@ -814,9 +817,10 @@ class IdentificationSettings(ConfigModel):
 
 
 class ArmingSettings(ConfigModel):
-    """Arming takes a tare and a self-test at rest; with `arm_with_start` a start does it where nobody has before.
+    """Arming, and the end of runs without a server.
 
-    A run ends with the motor at zero once its server has been silent for `server_silence_s`: STOP comes through it.
+    With `arm_with_start`, a start arms the tool if it is not armed. A run ends with the motor at zero once the server
+    has been silent for `server_silence_s`, because STOP comes through the server.
     """
 
     arm_with_start: bool = True
@@ -824,9 +828,9 @@ class ArmingSettings(ConfigModel):
 
 
 class LimiterSettings(ConfigModel):
-    """Where the force is held: a share of the injury threshold in force.
+    """The force limit: `margin` times the threshold in force.
 
-    The threshold that the estimator tells counts for `limit_expires_s`; after that it is the library's lowest.
+    The estimator's threshold counts for `limit_expires_s`; after that the library's lowest one counts.
     """
 
     margin: Probability = 0.8
@@ -834,7 +838,7 @@ class LimiterSettings(ConfigModel):
 
 
 class RecordingSettings(ConfigModel):
-    """What is kept of every run. Nothing is recorded where fewer than `least_free_bytes` are free.
+    """Recording of runs. Nothing is recorded if fewer than `least_free_bytes` are free.
 
     A deleted recording stays in the bin for `keep_deleted_days`.
     """
@@ -848,7 +852,7 @@ class RecordingSettings(ConfigModel):
 
 
 class WarningSettings(ConfigModel):
-    """Shares of the threshold in force at which low, medium and high warnings begin, and their hysteresis."""
+    """Shares of the threshold in force at which low, medium and high force alarms begin, and their hysteresis."""
 
     low: Probability = 0.7
     medium: Probability = 0.9
@@ -863,12 +867,12 @@ class WarningSettings(ConfigModel):
 
 
 class RealtimeSettings(ConfigModel):
-    """What acquisition, estimator and guard ask the system for; what it grants is told, and the rest goes without."""
+    """Real-time requests of acquisition, estimator and safety monitor; they run without a request that is refused."""
 
-    priority: bool = True  # SCHED_FIFO; for server and recorder, too
-    lock_memory: bool = False  # mlockall: nothing of them is ever paged out
+    priority: bool = True  # SCHED_FIFO; also for server and recorder
+    lock_memory: bool = False  # mlockall: their memory is never paged out
     cores: tuple[Annotated[int, Field(ge=0)], ...] = ()  # acquisition on the first, estimator on the next, in turn
-    freeze_garbage: bool = True  # Python's collector stays out of the way
+    freeze_garbage: bool = True  # keep Python's garbage collector from pausing them
 
 
 class LogFormat(StrEnum):
@@ -877,7 +881,7 @@ class LogFormat(StrEnum):
 
 
 class LogSettings(ConfigModel):
-    """What is said on the error output; more of it is kept in `logs/` of the data folder, as JSON lines."""
+    """Level and format of the error output; a fuller log is kept in `logs/` of the data folder, as JSON lines."""
 
     level: Literal["info", "warning", "error"] = "warning"
     format: LogFormat = LogFormat.TEXT
@@ -885,18 +889,18 @@ class LogSettings(ConfigModel):
 
 
 class FoxgloveSettings(ConfigModel):
-    """The live stream for Foxglove, Lichtblick and the like. They cannot sign in: this computer's programs only."""
+    """The live stream for Foxglove and Lichtblick on this computer only, because these programs cannot sign in."""
 
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
 
 
 class Settings(ConfigModel):
-    """`graspwatch.toml`: everything of the service that is not a tool, a library or a protocol."""
+    """`graspwatch.toml`: all settings of the service except tools, libraries and protocols."""
 
     tool: str = "simulated"
     library: str = "porcine"
     data_folder: str = "graspwatch-data"
-    index_url: SecretStr | None = None  # it may hold a password: never shown
+    index_url: SecretStr | None = None  # it may contain a password, so it is never shown
     server: ServerSettings = ServerSettings()
     people: PeopleSettings = PeopleSettings()
     conditioning: ConditioningSettings = ConditioningSettings()

@@ -1,4 +1,4 @@
-"""What a service is to be: decided once from the command line and the configuration, then handed to every part."""
+"""The plan of a service: decided once from command line and configuration, then passed to every part."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +8,11 @@ from config.schema import Settings, TissueLibrary, Tool
 
 @dataclass(frozen=True, slots=True)
 class ServicePlan:
-    """`data` is the folder for everything that is kept. `recorded_with` is the tool file of recordings that
-    name none. `tool_source` is what the tool was called by: its name, or its file.
+    """The parameters of one service.
 
-    With `opened` there is no tool: the service only shows these recordings. `demo` repeats a protocol on each tissue in
-    turn.
+    `recording_tool` is the tool for recordings that contain none. `tool_source` is the tool's name or file as given.
+    With `opened_recordings` there is no tool, and the service only shows these recordings. `demo_enabled` repeats a
+    protocol on each tissue in turn.
     """
 
     tool: Tool

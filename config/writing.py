@@ -1,4 +1,4 @@
-"""Writes tool files: a new one with what was measured, beside the old one, which stays as it is."""
+"""Write calibrated tool files beside the old ones, which stay unchanged."""
 
 import re
 import tempfile
@@ -21,15 +21,17 @@ SIGNIFICANT_DIGITS = 6
 def write_calibrated_tool(
     tool: str, values: Mapping[str, float], measured: Sequence[ConstantMeasurement], today: date, into: Path
 ) -> Path:
-    """A tool file like that of `tool` (a name or a path), with other constants.
+    """Write a copy of a tool file with other constants and return its path.
 
     Args:
-        values: by their place in the file, `table.key`, e.g. `calibration.newton_per_volt`.
-        measured: how each of them came about. Constants that are not among them keep their dates and expiries.
-        into: folder of the new file; it is called like the old one, with the day, and never overwrites any.
+        tool: name or path of the old file.
+        values: new constants by their place in the file, `table.key`, e.g. `calibration.newton_per_volt`.
+        measured: measurements of these constants. Other constants keep their dates and expiries.
+        today: date in the new file's name.
+        into: folder of the new file, which never overwrites another.
 
     Raises:
-        ConfigurationError: the folder cannot be written to, or the outcome is no valid tool file.
+        ConfigurationError: the folder is not writable, or the result is not a valid tool file.
     """
     old = find_tool_file(tool)
     document = tomlkit.parse(old.read_text(encoding="utf-8"))
@@ -54,20 +56,19 @@ def write_calibrated_tool(
 
 
 def _round_value(value: object) -> object:
-    """A number as it stands in a file."""
     return float(f"{value:.{SIGNIFICANT_DIGITS}g}") if isinstance(value, float) else value
 
 
 def _separate_tables(text: str) -> str:
-    """With an empty line before each table."""
+    """Put an empty line before each table."""
     return re.sub(r"(?<!\n)\n\[", "\n\n[", text)
 
 
 def check_writable(folder: Path) -> None:
-    """Whether tool files can be written there; before anybody measures in vain.
+    """Check before a calibration that tool files can be written to a folder.
 
     Raises:
-        ConfigurationError: they cannot.
+        ConfigurationError: the folder is not writable.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,1 +1,1 @@
-"""From sample blocks to tissue parameters, probabilities and warnings."""
+"""Estimation: turn sample blocks into tissue parameters, probabilities and force alarms."""

@@ -4,9 +4,9 @@ import numpy as np
 
 
 def convergence_samples(errors_n: np.ndarray, bound_n: float) -> np.ndarray:
-    """Samples from which each filter's force error stays within its bound, (K,), for errors (n, K); NaN if it does not.
+    """Return the sample from which each filter's force error stays within the bound, (K,); NaN if it does not.
 
-    A sample without an estimate counts as outside.
+    `errors_n` has shape (n, K). A sample without an estimate counts as outside.
     """
     if not len(errors_n):
         return np.full(errors_n.shape[1], np.nan)
@@ -18,7 +18,7 @@ def convergence_samples(errors_n: np.ndarray, bound_n: float) -> np.ndarray:
 
 
 class ForceErrors:
-    """Errors of the filters' elastic forces against the measured force, over one grasp."""
+    """Differences between the filters' elastic forces and the measured force over one grasp."""
 
     def __init__(self, filters: int, convergence_error: float) -> None:
         self._errors: list[np.ndarray] = [np.empty((0, filters))]
@@ -27,18 +27,18 @@ class ForceErrors:
         self._sample_count = 0
 
     def append(self, filter_force_n: np.ndarray, force_n: np.ndarray) -> None:
-        """Take samples: filters' forces (n, K), measured force (n,)."""
+        """Append samples: filters' forces (n, K) and measured force (n,), N."""
         self._errors.append(filter_force_n - force_n[:, None])
         self._peak_n = max(self._peak_n, float(force_n.max()))
         self._sample_count += len(force_n)
 
     def truncate(self, samples: int) -> None:
-        """Forget all but the first samples."""
+        """Discard all but the first `samples`."""
         self._errors = [self._concatenate()[:samples]]
         self._sample_count = len(self._errors[0])
 
     def __len__(self) -> int:
-        """How many samples there are."""
+        """Return the number of samples."""
         return self._sample_count
 
     def _concatenate(self) -> np.ndarray:
@@ -47,14 +47,14 @@ class ForceErrors:
         return self._errors[0]
 
     def convergence_samples(self) -> np.ndarray:
-        """Samples after contact from which each filter's error stays within its bound, (K,); NaN if it does not.
+        """Return the sample after contact from which each filter's error stays within the bound, (K,); NaN if never.
 
-        The bound is 15 % of the largest force (Section V).
+        The bound is a share of the largest force, 15 % in the paper (Section V).
         """
         return convergence_samples(self._concatenate(), self._convergence_share * self._peak_n)
 
     def mean_error_n(self) -> np.ndarray:
-        """Mean error of each filter where it has an estimate, N, (K,); NaN where it never has."""
+        """Return each filter's mean error over its estimates, N, (K,); NaN for a filter without any."""
         errors = self._concatenate()
         sound = np.isfinite(errors)
         count = sound.sum(axis=0)

@@ -1,4 +1,4 @@
-"""When a tissue is named, and when the name is withdrawn."""
+"""Decide when a tissue is named and when the name is withdrawn."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,11 @@ UNKNOWN = "unknown"
 
 @dataclass(slots=True)
 class Decision:
-    """The label of one grasp: named once `decide_at` has held for a while, withdrawn below `withdraw_below`."""
+    """The label of one grasp, with hysteresis.
+
+    A tissue is named once its probability has been at least `decide_at` for `confirm_s`. The name is withdrawn when the
+    probability falls below `withdraw_below`.
+    """
 
     names: tuple[str, ...]  # the library's tissues, then `unknown`
     settings: IdentificationSettings
@@ -23,7 +27,7 @@ class Decision:
     _candidate_tick: int = -1
 
     def update(self, probabilities: np.ndarray, tick: int) -> None:
-        """Take the probabilities, (K + 1,), at a tick."""
+        """Update the label with the probabilities, (M + 1,), at a tick."""
         if self.label != UNDECIDED and probabilities[self.names.index(self.label)] < self.settings.withdraw_below:
             self.label, self.decided_tick = UNDECIDED, -1
         top = int(np.argmax(probabilities))

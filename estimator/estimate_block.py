@@ -1,4 +1,4 @@
-"""What the estimator publishes: estimates sample by sample, the identification so far, and finished grasps."""
+"""The estimator's output: estimates for each sample, the identification so far, and finished grasps."""
 
 import functools
 import math
@@ -11,15 +11,18 @@ from estimator.force_alarms import ForceAlarm
 
 @functools.cache
 def estimate_dtype(tissues: int) -> np.dtype:
-    """One sample's estimates for K filters. NaN where a filter has none: no tissue held, jaws shut, or diverged."""
+    """Return the dtype of one sample's estimates for all tissues.
+
+    A value is NaN without an estimate: no tissue held, jaws shut, or filter diverged.
+    """
     each = (tissues,)
     return np.dtype(
         [
             ("tick", "i8"),
             ("probability", "f8", each),
             ("probability_unknown", "f8"),
-            ("threshold_n", "f8"),  # injury threshold by which force alarms are judged
-            ("force_n", "f8", each),  # alpha (exp(beta x) - 1) of each filter
+            ("threshold_n", "f8"),  # threshold in force, for the force alarms
+            ("force_n", "f8", each),  # alpha (exp(beta x) - 1) of each tissue's likelier filter
             ("alpha_n", "f8", each),
             ("beta_per_m", "f8", each),
             ("damping_kg_per_s", "f8", each),
@@ -29,7 +32,7 @@ def estimate_dtype(tissues: int) -> np.dtype:
 
 
 def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
-    """Rows without any value for these ticks."""
+    """Return rows for these ticks with NaN in every other column."""
     rows = np.empty(len(ticks), dtype)
     rows["tick"] = ticks
     for name in dtype.names[1:]:
@@ -39,7 +42,7 @@ def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True)
 class IdentificationResult:
-    """What is held, as known at `tick`. `grasp` counts from 1; 0 before the first."""
+    """The answer for the current grasp at `tick`. `grasp` counts from 1 and is 0 before the first."""
 
     tick: int
     grasp: int
@@ -51,19 +54,19 @@ class IdentificationResult:
     time_to_decision_s: float | None
     force_n: float | None
     peak_force_n: float | None
-    threshold_n: float  # by which force alarms are judged
+    threshold_n: float  # threshold in force, for the force alarms
     threshold_tissue: str | None
-    limit_n: float | None  # that the limiter enforced while the sample was taken, as it says itself
+    limit_n: float | None  # limit that the limiter enforced at this sample
     holding_back: bool
-    time_to_limit_s: float | None  # forecast while the force rises towards that limit
-    thickness_m: float | None  # of what is held, measured at contact
+    time_to_limit_s: float | None  # forecast while the force rises toward that limit
+    thickness_m: float | None  # of the tissue, measured at contact
     convergence_s: dict[str, float | None]
     force_error_n: dict[str, float | None]
 
 
 @dataclass(frozen=True, slots=True)
 class GraspRecord:
-    """A finished grasp; times in seconds since the source's first sample; None where there is no value."""
+    """A finished grasp. Times are in seconds since the source's first sample; None means no value."""
 
     index: int
     start_s: float
@@ -82,14 +85,14 @@ class GraspRecord:
     force_error_n: dict[str, float | None]
     valid: bool
     why_invalid: str | None
-    peak_share_of_limit: float | None = None  # of the force in the limit that the limiter enforced meanwhile
+    peak_share_of_limit: float | None = None  # highest ratio of force to the limit enforced at the same time
 
 
 @dataclass(frozen=True, slots=True)
 class LabelWithdrawal:
-    """A name that a grasp had been given no longer holds; `probability` is what is left of it.
+    """Withdrawal of a grasp's label. `probability` is the label's present probability.
 
-    `why`: what speaks against the grasp itself; None where the samples changed the answer.
+    `why` is the reason why the grasp is invalid; None if further samples changed the answer.
     """
 
     tick: int
@@ -101,7 +104,7 @@ class LabelWithdrawal:
 
 @dataclass(frozen=True, slots=True)
 class EstimateBlock:
-    """The answer to one sample block; `estimates` has one row for each of its samples."""
+    """Estimates for one sample block; `estimates` has one row for each of its samples."""
 
     sequence: int
     t_mono_ns: int
@@ -114,5 +117,5 @@ class EstimateBlock:
 
 
 def finite_or_none(value: float) -> float | None:
-    """None in place of NaN or infinity."""
+    """Return the value, or None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None

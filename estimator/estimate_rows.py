@@ -1,4 +1,4 @@
-"""Estimates as rows of a recording: one column for each number, those of a tissue's filter under its name."""
+"""Convert estimates to rows of a recording: one column for each number, grouped by tissue."""
 
 import numpy as np
 
@@ -6,13 +6,12 @@ from acquisition.recordings import mcap_layout
 from acquisition.recordings.protobuf_rows import Column, RowLayout
 from estimator.estimate_block import estimate_dtype
 
-PARAMETER_COLUMNS = {
-    "log_sd": ("log_alpha_sd", "log_beta_sd", "log_damping_sd")
-}  # fields with a number for each parameter
+# estimate fields with one number for each parameter, and their columns
+PARAMETER_COLUMNS = {"log_sd": ("log_alpha_sd", "log_beta_sd", "log_damping_sd")}
 
 
 def estimate_layout(tissues: list[str]) -> RowLayout:
-    """How the estimates of a library with these tissues are recorded."""
+    """Return the row layout of the estimates for a library with these tissues."""
     dtype = estimate_dtype(len(tissues))
     common = [name for name in dtype.names if not dtype[name].shape]
     columns = [Column(name, dtype[name].str[1:]) for name in common]
@@ -24,7 +23,7 @@ def estimate_layout(tissues: list[str]) -> RowLayout:
 
 
 def row_layouts(tissues: list[str]) -> dict[str, RowLayout]:
-    """By topic, all rows of a recording made with a library of these tissues."""
+    """Return the row layout of each topic in a recording for a library with these tissues."""
     return {
         mcap_layout.RAW_TOPIC: mcap_layout.RAW_LAYOUT,
         mcap_layout.CONDITIONED_TOPIC: mcap_layout.CONDITIONED_LAYOUT,
@@ -33,7 +32,7 @@ def row_layouts(tissues: list[str]) -> dict[str, RowLayout]:
 
 
 def estimate_columns(estimates: np.ndarray, tissues: list[str]) -> dict[str, np.ndarray]:
-    """Columns, each of shape (n,), by their path."""
+    """Return the columns, each of shape (n,), by path (`name` or `tissue.name`)."""
     columns = {}
     for name in estimates.dtype.names:
         values = estimates[name]
@@ -49,7 +48,7 @@ def estimate_columns(estimates: np.ndarray, tissues: list[str]) -> dict[str, np.
 
 
 def from_estimate_columns(columns: dict[str, np.ndarray], tissues: list[str]) -> np.ndarray:
-    """What `estimate_columns` was given.
+    """Return the estimates from their columns; the inverse of `estimate_columns`.
 
     Raises:
         KeyError: a column is missing.

@@ -1,12 +1,12 @@
-"""From the bank to a probability for each tissue and for `unknown`.
+"""Compute a probability for each tissue and for `unknown` from the filter bank.
 
-Of each kind of filter, the one that fits best gives, as a Gaussian in (log alpha, log beta, log d), what the data say
-of the parameters; that likelihood is moved from the filter's own prior to each tissue's, and to the wide prior of a
-thing outside the library. The kinds are weighted by how well they explain the data, and where even the best lenient
-filter is surprised by them, nothing of the library is held. A plain product of each filter's
-innovation likelihoods commits too early and too surely.
+From each kind of filter (strict and lenient) the best-fitting one counts. Its posterior without its own prior is a
+Gaussian likelihood of (log alpha, log beta, log d). This likelihood is combined with each tissue's prior, and with a
+wide prior for things outside the library. The kinds are weighted by how well they explain the data. Where even the
+best lenient filter fits badly, the probability of `unknown` rises. A plain product of innovation likelihoods would
+commit too early and too surely.
 
-How thick the tissue is at contact is further evidence, where the tool senses contact and knows how far its jaws open.
+The tissue's thickness at contact is further evidence, where the tool senses contact and its jaw opening is known.
 """
 
 import math
@@ -29,11 +29,11 @@ from estimator.constants import (
 from estimator.filter_bank import FilterBank
 from estimator.kalman_filter import INFLATION, LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, find_most_likely
 
-UNINFORMATIVE_VAR = 1e100  # of a prior that says nothing
+UNINFORMATIVE_VAR = 1e100  # variance of a prior without information
 
 
 class BankEvidence:
-    """Probabilities of the library's tissues, in its order, and of `unknown`, last."""
+    """Probabilities of the library's M tissues in its order, then of `unknown`, from a filter bank."""
 
     def __init__(self, bank: FilterBank, library: TissueLibrary, settings: IdentificationSettings) -> None:
         self._bank = bank
@@ -46,15 +46,15 @@ class BankEvidence:
 
     @property
     def prior(self) -> np.ndarray:
-        """Probabilities before any data, (M + 1,)."""
+        """Prior probabilities, (M + 1,)."""
         return np.exp(self._log_prior)
 
     def compute_thickness_log_likelihood(self, travel_m: float, opening_m: float) -> np.ndarray:
-        """Log-likelihoods, (M + 1,), of contact after the jaws have closed by `travel_m` from `opening_m`."""
+        """Return log-likelihoods, (M + 1,), of contact after the jaws closed by `travel_m` from `opening_m`."""
         return self._thickness.log_likelihood(travel_m, opening_m)
 
     def probabilities(self, log_likelihood: np.ndarray | float = 0.0) -> np.ndarray:
-        """Posterior probabilities, (M + 1,), given the bank's state and other independent evidence, (M + 1,)."""
+        """Return posterior probabilities, (M + 1,), given the bank and other independent evidence, (M + 1,)."""
         state = self._bank.state
         result = np.empty(len(self._log_prior))
         compute_posterior(
@@ -75,7 +75,7 @@ class BankEvidence:
 
 
 class ThicknessEvidence:
-    """What the gap between the jaws at first contact says of the tissues of a library, and of none of them."""
+    """Evidence from the gap between the jaws at first contact."""
 
     def __init__(self, library: TissueLibrary) -> None:
         thickness_m = [profile.thickness_m for profile in library.tissues.values()]
@@ -84,7 +84,10 @@ class ThicknessEvidence:
         self._sd = np.array([*sd, UNKNOWN_LOG_THICKNESS_SD])
 
     def log_likelihood(self, travel_m: float, opening_m: float) -> np.ndarray:
-        """Of each tissue and of unknown, (M + 1,). Tissue that fills the jaws is at least as thick as they open."""
+        """Return log-likelihoods of the tissues and of `unknown`, (M + 1,).
+
+        Tissue that fills the open jaws counts as at least as thick as they open.
+        """
         if travel_m < FILLED_JAWS_MARGIN_M:
             at_least = math.log(max(opening_m - FILLED_JAWS_MARGIN_M, FILLED_JAWS_MARGIN_M))
             own = log_ndtr((self._log_mean - at_least) / self._sd)
@@ -98,13 +101,13 @@ class ThicknessEvidence:
 def compute_posterior(
     mean, cov, fit, valid, taken, surprise, guess, guess_var, tissue_mean, tissue_var, log_prior, result
 ):
-    """Write the posterior probabilities into `result`, (M + 1,); all is unknown where no filter is valid."""
+    """Write the posterior probabilities into `result`, (M + 1,); `unknown` gets 1 if no filter is valid."""
     tissues = len(guess)
     result[:] = -np.inf
     for first in range(0, len(mean), tissues):
         best = find_most_likely(first, first + tissues, fit, valid)
         if best >= 0:
-            # widening by f leaves an f-th of all that was known, of the prior too
+            # inflating the covariance by f leaves 1/f of all information, including the prior's
             own, own_var = guess[best - first], guess_var[best - first] * min(fit[best, INFLATION], UNINFORMATIVE_VAR)
             misfit = max(fit[best, NIS_SUM] / max(taken - 1, 1) / NIS_TOLERANCE, 1.0)
             information, vector = compute_parameter_likelihood(mean[best], cov[best], own, own_var)
@@ -128,15 +131,15 @@ def compute_posterior(
 
 @compiled
 def compute_parameter_likelihood(mean, cov, guess, prior_var):
-    """What the data alone say: information matrix (3, 3) and information vector (3,) of the log parameters.
+    """Return the data's information matrix (3, 3) and information vector (3,) of the log parameters.
 
-    The filter's posterior divided by what is left of its prior; positive semi-definite.
+    It is the filter's posterior divided by the rest of its prior; the matrix is positive semi-definite.
     """
     inner = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             inner[i, j] = cov[LOG_ALPHA + i, LOG_ALPHA + j]
-    if not np.linalg.det(inner) > 0.0:  # no proper covariance: nothing is learned from it
+    if not np.linalg.det(inner) > 0.0:  # not a proper covariance: no information
         return np.zeros((3, 3)), np.zeros(3)
     posterior_information = np.linalg.inv(inner)
     seen = mean[LOG_ALPHA : LOG_ALPHA + 3]
@@ -145,8 +148,8 @@ def compute_parameter_likelihood(mean, cov, guess, prior_var):
         learned[i, i] -= 1.0 / prior_var[i]
     if compute_marginal_log_likelihood(learned, guess, guess, np.full(3, UNINFORMATIVE_VAR)) > -np.inf:
         return learned, posterior_information @ seen - guess / prior_var
-    # The parameters' walk may have cost more than was learned along some direction: keep those, in units of the prior's
-    # SD, in which something was, about what the filter believes.
+    # Along some directions the parameters' random walk may have cost more information than the data gave. Keep only
+    # the directions with a gain, in units of the prior's SD, centered on the filter's mean.
     sd = np.sqrt(prior_var)
     size, direction = np.linalg.eigh(learned * np.outer(sd, sd))
     learned[:] = 0.0
@@ -159,10 +162,10 @@ def compute_parameter_likelihood(mean, cov, guess, prior_var):
 
 @compiled
 def compute_marginal_log_likelihood(information, vector, tissue_mean, tissue_var):
-    """log of the integral of the parameters' likelihood over a Gaussian prior, up to a constant common to all.
+    """Return the log of the integral of likelihood times Gaussian prior, up to a constant common to all tissues.
 
-    -inf where the product of both is no density. By a Cholesky factor of the joint information, written out: LAPACK's
-    calls cost more than all filters together.
+    -inf if the product is not a density. The Cholesky factorization of the joint information is written out, because
+    calls of LAPACK cost more than all filters together.
     """
     value = 0.0
     target = np.empty(3)
@@ -190,7 +193,7 @@ def compute_marginal_log_likelihood(information, vector, tissue_mean, tissue_var
 
 @compiled
 def normalize_log_weights(log_weights):
-    """Logarithms of weights to probabilities that sum to 1, in place."""
+    """Convert log weights to probabilities that sum to 1, in place."""
     log_weights -= log_weights.max()
     np.exp(log_weights, log_weights)
     log_weights /= log_weights.sum()

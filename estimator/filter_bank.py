@@ -1,4 +1,4 @@
-"""The bank: extended Kalman filters for every tissue of the library, all on the same grasp."""
+"""The bank: extended Kalman filters for every tissue of the library, side by side on one grasp."""
 
 import math
 from dataclasses import dataclass
@@ -52,9 +52,9 @@ SAMPLE_COLUMNS = 5
 
 @dataclass(frozen=True, slots=True)
 class TissuePriors:
-    """Per tissue: mean and SD of (log alpha, log beta, log d), each of shape (tissues, 3).
+    """Prior of each tissue: mean and SD of (log alpha, log beta, log d), each of shape (tissues, 3).
 
-    `correlation`, (tissues, 3, 3), where the library was learned: what is stiff is seldom soft at first as well.
+    `correlation`, (tissues, 3, 3), exists for a learned library only.
     """
 
     names: tuple[str, ...]
@@ -78,14 +78,14 @@ class TissuePriors:
 
 @dataclass(frozen=True, slots=True)
 class FilterTuning:
-    """How far one kind of filter trusts sensors and model."""
+    """Noise model of one kind of filter, and the SD of its log mass."""
 
     noise: FilterNoise
     log_mass_sd: float
 
 
 def build_filter_tunings(tool: Tool) -> tuple[FilterTuning, FilterTuning]:
-    """The two kinds of filter on a tool: its strain noise, and this package's constants."""
+    """Return the tunings of the strict and the lenient filters for a tool's strain noise."""
     strict = FilterNoise(
         strain_var=tool.noise.strain_var_v2,
         force_var=FORCE_NOISE_SD_N**2,
@@ -102,7 +102,10 @@ def build_filter_tunings(tool: Tool) -> tuple[FilterTuning, FilterTuning]:
 
 
 def tune_for_real_tissue(trust: FilterTuning) -> FilterTuning:
-    """The same kind of filter for real tissue: it sticks, slides and leaves its curve, and cable and drive rub."""
+    """Return a filter's tuning with more noise, for real tissue.
+
+    Real tissue sticks, slides and leaves its curve, and cable and drive have friction.
+    """
     noise = trust.noise._replace(
         force_var=REAL_FORCE_SD_N**2,
         displacement_var=REAL_DISPLACEMENT_SD_M**2,
@@ -114,16 +117,15 @@ def tune_for_real_tissue(trust: FilterTuning) -> FilterTuning:
 
 @dataclass(slots=True)
 class BankState:
-    """What the filters know after `taken` samples; K filters: all tissues with the first trust, then with the next."""
+    """State of all K filters after `samples_taken` samples: all tissues' strict filters, then all lenient ones."""
 
     mean: np.ndarray  # (K, 9)
     cov: np.ndarray  # (K, 9, 9)
-    fit_statistics: (
-        np.ndarray
-    )  # (K, 4): log-likelihood, sum and running mean of the normalised innovations squared, widening
+    # (K, 4): log-likelihood, sum and running mean of the normalized innovations squared, covariance inflation
+    fit_statistics: np.ndarray
     valid: np.ndarray  # (K,) bool; False once diverged
-    samples_taken: np.ndarray  # (1,) samples of the grasp, the first included
-    surprise: np.ndarray  # (1,) how badly even the best lenient filter has ever fitted lately; 1 where all is right
+    samples_taken: np.ndarray  # (1,) samples of the grasp, including the first
+    surprise: np.ndarray  # (1,) highest running misfit so far of the best lenient filter; 1 if the model fits
 
     def copy(self) -> "BankState":
         return BankState(*(getattr(self, name).copy() for name in self.__slots__))
@@ -131,13 +133,13 @@ class BankState:
 
 @dataclass(frozen=True, slots=True)
 class ContactStart:
-    """A grasp's first sample in contact, where the displacement counts from.
+    """A grasp's first sample in contact, from which the displacement counts.
 
-    `past_m` is how far the tissue has been pressed by then. `unfelt_force_n` may press before contact is felt; 0 where
-    a sensor tells.
+    `initial_compression_m` is the compression of the tissue at that sample. `undetected_force_n` is the scale of the
+    force that may act before contact is detected; 0 if a touch sensor detects it.
     """
 
-    sample: np.ndarray  # (5,): as `Bank.advance` takes them
+    sample: np.ndarray  # (5,), columns as in `FilterBank.advance`
     velocity_m_per_s: float = 0.0
     undetected_force_n: float = 0.0
     initial_compression_m: float = INITIAL_COMPRESSION_M
@@ -145,7 +147,7 @@ class ContactStart:
 
 
 class FilterBank:
-    """A filter of each kind of trust for each tissue, on one grasp's force and displacement."""
+    """One filter of each kind for each tissue, on the force and displacement of one grasp."""
 
     def __init__(
         self, priors: TissuePriors, trusts: tuple[FilterTuning, ...], widening: float = PRIOR_SD_FACTOR
@@ -158,17 +160,18 @@ class FilterBank:
 
     @classmethod
     def from_tool(cls, tool: Tool, library: TissueLibrary) -> "FilterBank":
-        """The bank for a library's tissues on a tool."""
+        """Create the bank for a library's tissues on a tool."""
         trusts = build_filter_tunings(tool)
         if library.learned and tool.kind is not ToolKind.SIMULATED:
             trusts = tuple(tune_for_real_tissue(trust) for trust in trusts)
         return cls(TissuePriors.from_library(library), trusts)
 
     def start(self, first: ContactStart, strain_var: float | None = None) -> None:
-        """Begin a grasp at its first sample in contact; `strain_var`, V², where it has been measured.
+        """Begin a grasp at its first sample in contact.
 
-        Sensed contact happened a little before. Contact found from the force lies back by what each tissue needs to
-        make itself felt. Either way x + offset + strain noise is the measured zero.
+        `strain_var`, V², is the measured strain noise, None for the tool file's. Contact itself came earlier by a small
+        compression. For contact found from the force, the compression that makes each tissue detectable is added. In
+        both cases x + offset + strain noise is the measured zero.
         """
         k = len(self._guess)
         mean, cov = np.zeros((k, STATE_COUNT)), np.zeros((k, STATE_COUNT, STATE_COUNT))
@@ -202,28 +205,31 @@ class FilterBank:
         self.state = BankState(mean, cov, fit, np.ones(k, bool), np.ones(1, np.int64), np.ones(1))
 
     def initial_state(self, k: int) -> tuple[np.ndarray, np.ndarray, FilterNoise]:
-        """How filter k began the grasp: its state's mean, (9,), and covariance, (9, 9), and its noise."""
+        """Return filter k's state at the grasp's start, mean (9,) and covariance (9, 9), and its noise."""
         noise = self._noises[k // len(self.priors.names)]
         return self._initial_mean[k].copy(), self._initial_cov[k].copy(), noise
 
     @property
     def first_sample(self) -> np.ndarray:
-        """The grasp's first sample in contact as the filters took it, (5,)."""
+        """The grasp's first sample in contact as the filters use it, (5,): displacement 0."""
         return self._first_sample.copy()
 
     def find_most_likely(self) -> int:
-        """The filter that the data make likeliest; -1 where all have diverged or lost the data."""
+        """Return the index of the filter with the highest likelihood; -1 if all have diverged or lost the data."""
         state = self.state
         followed = [k for k in range(len(state.mean)) if is_tracking(k, state.fit_statistics, state.valid)]
         return max(followed, key=lambda k: state.fit_statistics[k, LOG_LIKELIHOOD], default=-1)
 
     def compute_mean_nis(self) -> np.ndarray:
-        """Mean normalised innovation squared of each filter over the grasp, (K,): 1 where all is right."""
+        """Return each filter's mean normalized innovation squared over the grasp, (K,); 1 if the model fits."""
         return self.state.fit_statistics[:, NIS_SUM] / max(int(self.state.samples_taken[0]) - 1, 1)
 
     def advance(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Take the samples after the first: force N, displacement m, what a volt of strain noise does to each, and the
-        time since the sample before, s; shape (n, 5).
+        """Advance all filters over the samples after the first.
+
+        Args:
+            samples: (n, 5): force N, displacement m, change of each per volt of strain noise (N/V, m/V), and time since
+                the previous sample, s.
 
         Returns:
             For each of M tissues the means, (n, M, 9), and variances, (n, M, 9), of its likelier filter after each
@@ -253,15 +259,16 @@ class FilterBank:
 
 
 def build_contact_start(first: np.void, velocity_m_per_s: float, *, contact_sensed: bool) -> ContactStart:
-    """How a grasp starts for the filters, from its first sample and how fast the jaws came."""
+    """Return the filters' start of a grasp, from its first sample in contact and the speed of the closing jaws."""
     sample = np.array([*(first[name] for name in BANK_COLUMNS), 0.0])
     return ContactStart(sample) if contact_sensed else ContactStart(sample, velocity_m_per_s, UNDETECTED_FORCE_N)
 
 
 def bank_columns(samples: np.ndarray, contact_m: float, tick_before: int, dt_s: float) -> np.ndarray:
-    """What the bank takes of samples of dtype SAMPLE, (n, 5): displacement counts from contact, time from each other.
+    """Return the columns that `FilterBank.advance` takes, (n, 5), from samples of dtype SAMPLE.
 
-    `tick_before`: of the sample before them, which may lie further back than one: a gap is a longer step.
+    Displacement counts from contact. `tick_before` is the tick of the previous sample; after a gap the first step is
+    longer.
     """
     elapsed_s = np.diff(samples["tick"], prepend=tick_before) * dt_s
     columns = np.column_stack([*(samples[name] for name in BANK_COLUMNS), elapsed_s])

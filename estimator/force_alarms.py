@@ -1,4 +1,4 @@
-"""Warnings of force against the injury threshold in force."""
+"""Force alarms: compare the force with the threshold in force."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,7 +14,7 @@ class Priority(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ForceAlarm:
-    """The force passed a share of the threshold, or fell back (`priority` None)."""
+    """The force passed a share of the threshold, or fell below all of them (`priority` None)."""
 
     tick: int
     priority: Priority | None
@@ -24,7 +24,7 @@ class ForceAlarm:
 
 
 class ForceAlarmMonitor:
-    """Follows the force; says when the warning's priority changes, with hysteresis downwards."""
+    """Monitor that reports changes of the alarm's priority, with hysteresis while the force falls."""
 
     def __init__(self, shares: WarningSettings) -> None:
         self._onset_shares = {Priority.LOW: shares.low, Priority.MEDIUM: shares.medium, Priority.HIGH: shares.high}
@@ -33,7 +33,7 @@ class ForceAlarmMonitor:
         self._tissue: str | None = None
 
     def update(self, tick: int, force_n: float, threshold_n: float, threshold_tissue: str | None) -> ForceAlarm | None:
-        """Take the force and the threshold in force, N; returns the change, if there is one."""
+        """Return the alarm if priority or tissue changed, else None; force and threshold in force in N."""
         share = force_n / threshold_n
         reached = None
         for priority, begin in self._onset_shares.items():

@@ -1,17 +1,17 @@
-"""When the force will reach a limit, if it goes on rising as it does."""
+"""Forecast when a rising force reaches a limit."""
 
 import math
 
 import numpy as np
 
-SLOPE_WINDOW_S = 0.05  # over which the rise is measured: five times what drive and tissue lag, so that a ramp fills it
-LEVEL_SAMPLES = 5  # whose mean is where the force is now
-SIGNIFICANCE_SD = 4.0  # standard deviations from which on a slope is a rise: noise alone shows one once in half an hour
-FORECAST_HORIZON_S = 2.0  # what is further off is not foreseen: few grasps last so long
+SLOPE_WINDOW_S = 0.05  # window of the slope: five times the lag of drive and tissue, so that a ramp fills it
+LEVEL_SAMPLES = 5  # their mean is the present force
+SIGNIFICANCE_SD = 4.0  # standard deviations that make a slope a rise: noise alone reaches it once in half an hour
+FORECAST_HORIZON_S = 2.0  # longest forecast: few grasps last so long
 
 
 class ForceForecast:
-    """The straight line through the last samples of a force, carried on to a limit."""
+    """Extrapolation of a straight line through the last force samples to a limit."""
 
     def __init__(self, rate_hz: float) -> None:
         self.window_samples = max(round(SLOPE_WINDOW_S * rate_hz), LEVEL_SAMPLES)
@@ -21,16 +21,16 @@ class ForceForecast:
         self._level_age_s = 0.5 * (LEVEL_SAMPLES - 1) / rate_hz
 
     def forecast_time_to_limit_s(self, force_n: np.ndarray, limit_n: float, noise_sd_n: float) -> float | None:
-        """Seconds from the last sample until the force reaches the limit; 0 where it has.
+        """Return the time from the last sample until the force reaches the limit, s; 0 if it has.
 
-        None where the force does not rise significantly or will not be there within two seconds, and where a value is
-        missing. `force_n`: the last `samples` forces, unfiltered, at even intervals; `noise_sd_n`: SD of one of them.
+        None if the force does not rise significantly, needs more than two seconds, or a value is missing. `force_n`
+        holds the last `window_samples` unfiltered forces at even intervals; `noise_sd_n` is the SD of one of them.
         """
         level_n = float(np.add.reduce(force_n[-LEVEL_SAMPLES:])) / LEVEL_SAMPLES
         if level_n >= limit_n:
             return 0.0
         slope_n_per_s = float(self._weights @ force_n)
-        if not slope_n_per_s > SIGNIFICANCE_SD * noise_sd_n * self._slope_sd_per_n:  # nor where it is NaN
+        if not slope_n_per_s > SIGNIFICANCE_SD * noise_sd_n * self._slope_sd_per_n:  # also true for NaN
             return None
         time_s = max((limit_n - level_n) / slope_n_per_s - self._level_age_s, 0.0)
         return time_s if time_s <= FORECAST_HORIZON_S else None

@@ -1,4 +1,4 @@
-"""One grasp's estimation: bank, evidence, decision and criteria from contact to the end."""
+"""Estimation of one grasp: bank, evidence, decision and criteria from contact to the end."""
 
 from copy import copy
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ from estimator.loading.learned_evidence import LearnedGrasp
 from estimator.tissue_model import force_curve
 
 ENCODER_SLIPS, SATURATED = SampleFlag.ENCODER_SLIPS.value, SampleFlag.SATURATED.value
-CHECKPOINT_SAMPLES = 500  # how far back the jaws may turn out to have been shut
-MIN_CHECKPOINT_SAMPLES = 10  # samples after contact at which the first step may end
-MAX_MISSING_SAMPLES = 5  # samples that may be missing in a grasp
+CHECKPOINT_SAMPLES = 500  # jaw closure may be detected this many samples late
+MIN_CHECKPOINT_SAMPLES = 10  # the first step may end this many samples after contact
+MAX_MISSING_SAMPLES = 5  # a valid grasp misses at most this many samples
 
 
 @dataclass(frozen=True, slots=True)
 class _Checkpoint:
-    """What was known before the samples from `tick` on were taken."""
+    """The grasp's state before the samples from `tick` on were processed."""
 
     tick: int
     bank: BankState
@@ -36,7 +36,7 @@ class _Checkpoint:
 
 
 class GraspEstimator:
-    """Follows one grasp; `take` its samples in steps, `finish` for its record."""
+    """Estimator of one grasp. Call `process` with its samples in steps, and `finish` for its record."""
 
     def __init__(
         self,
@@ -50,9 +50,11 @@ class GraspEstimator:
         in_contact_before: bool = False,
         learned_grasp: LearnedGrasp | None = None,
     ) -> None:
-        """`held_before`: tissue was touched when the command left zero, so that nobody knows where contact was.
+        """Start the estimation of a grasp.
 
-        `learned`: what follows the loading curve where the library was learned; the probabilities are then its own.
+        Args:
+            in_contact_before: the jaws touched tissue when the command left zero, so the place of contact is not known.
+            learned_grasp: loading-curve estimator of a learned library; the probabilities then come from it.
         """
         self.index, self.start_tick = index, start_tick
         self._bank, self._evidence, self._rate_hz = bank, evidence, rate_hz
@@ -63,10 +65,10 @@ class GraspEstimator:
         self.probabilities = evidence.prior
         self.peak_force_n, self.peak_displacement_m, self.peak_share_of_limit = np.nan, np.nan, np.nan
         self.contact_tick, self._contact_m = -1, np.nan
-        self._last_tick = -1  # of the last sample that the filters took
+        self._last_tick = -1  # of the last sample that the filters processed
         self._in_contact_before = in_contact_before
         self._learned_past_jaw_closure = False
-        self.learning_ended = False  # nothing more to learn: jaws shut or opening, or an encoder that slips
+        self.learning_ended = False  # the jaws are shut or opening, or the encoder slips
         self.flags = 0
         self.lost_samples = 0
         self.invalid_samples = 0  # outside the domain of the jaws' kinematics
@@ -75,15 +77,19 @@ class GraspEstimator:
         self._thickness_log_likelihood: np.ndarray | float = 0.0
         self._errors = ForceErrors(len(self.names), settings.convergence_error)
         self._checkpoints: list[_Checkpoint] = []
-        self._max_force_n = 0.0  # largest mean force of a step, N
+        self._max_force_n = 0.0  # largest mean force of a step
 
     def on_contact(
         self, sample: np.void, before_m: np.ndarray, opening_m: float | None, strain_var: float, *, contact_sensed: bool
     ) -> None:
-        """First sample in contact; `before_m` are the jaw displacements of the samples before it.
+        """Start the filters at the first sample in contact.
 
-        `sensed`: a trusted touch sensor told it, and not the force. `opening_m`: the gap between the open jaws, None
-        where it is not known. `strain_var`: of the strain gage now, V².
+        Args:
+            sample: the sample, dtype SAMPLE.
+            before_m: jaw displacements of the samples before it, m.
+            opening_m: gap between the open jaws, m; None if not known.
+            strain_var: present variance of the strain gage, V².
+            contact_sensed: a trusted touch sensor detected contact, not the force.
         """
         approach = 0.0
         if len(before_m) > 1 and np.isfinite(before_m).all():
@@ -100,7 +106,7 @@ class GraspEstimator:
         self._bank.start(build_contact_start(sample, float(approach), contact_sensed=contact_sensed), strain_var)
 
     def process(self, samples: np.ndarray, estimates: np.ndarray) -> None:
-        """Advance over samples in contact and write their estimates; the probabilities follow at the last one."""
+        """Advance the filters over samples in contact, write their estimates, and update the probabilities."""
         columns = bank_columns(samples, self._contact_m, self._last_tick, 1.0 / self._rate_hz)
         self._last_tick = int(samples["tick"][-1])
         self._checkpoints.append(
@@ -132,20 +138,20 @@ class GraspEstimator:
             self.decision.update(self.probabilities, int(samples["tick"][-1]))
 
     def update_loading_curve(self, samples: np.ndarray) -> None:
-        """With a learned library: what these samples (dtype SAMPLE) of the grasp add to its loading curve."""
+        """Add samples (dtype SAMPLE) to the loading curve and update the probabilities, with a learned library only."""
         if self.learned_grasp is None or self._jaws_empty:
             return
         if self.flags & ENCODER_SLIPS:
-            self._set_unknown()  # no tissue was learned with such a travel, and none can be named from it
+            self._set_unknown()  # with a slipping encoder the travel is wrong, so no tissue can be named from it
         else:
             self.probabilities = self.learned_grasp.process(samples)
         self.decision.update(self.probabilities, int(samples["tick"][-1]))
 
     def on_jaw_closure(self, jaw_closure_tick: int, contact_tick: int) -> None:
-        """The jaws have been shut since `wall_tick`: take back what was learned from there on, and learn no more."""
+        """Restore the state before the jaws closed at `jaw_closure_tick`, and stop learning."""
         self.learning_ended = True
         if not self._checkpoints:
-            if contact_tick >= 0:  # both are told at once
+            if contact_tick >= 0:  # contact and closure were detected together
                 self.contact_tick = contact_tick
                 self._set_jaws_empty(jaw_closure_tick)
             return
@@ -162,7 +168,6 @@ class GraspEstimator:
             self._set_jaws_empty(jaw_closure_tick)
 
     def _set_jaws_empty(self, jaw_closure_tick: int) -> None:
-        """Jaw on jaw."""
         self._jaws_empty = True
         self._set_unknown()
         self.decision.label, self.decision.decided_tick = UNKNOWN, jaw_closure_tick
@@ -172,7 +177,7 @@ class GraspEstimator:
         self.probabilities[-1] = 1.0
 
     def find_invalid_reason(self) -> str | None:
-        """What speaks against believing this grasp, or None."""
+        """Return the reason why this grasp is invalid; None if it is valid."""
         if self.flags & ENCODER_SLIPS:
             return "encoder slips or walks"
         if self.flags & SATURATED:
@@ -183,7 +188,7 @@ class GraspEstimator:
             return "tissue was still held from before the grasp"
         if self.contact_tick < 0:
             return "no contact with tissue was found"
-        # a loading curve is measured at the handle, and needs no kinematics of the jaws
+        # a loading curve is measured at the handle and does not need the kinematics of the jaws
         missing = self.lost_samples + (self.invalid_samples if self.learned_grasp is None else 0)
         if missing > MAX_MISSING_SAMPLES:
             return f"{missing} samples are missing"
@@ -191,13 +196,13 @@ class GraspEstimator:
 
     @property
     def label(self) -> str:
-        """The decision, unless the grasp cannot be believed: then no tissue is named."""
+        """The decision's label; `undecided` if it is a tissue and the grasp is invalid."""
         believed = self.decision.label == UNKNOWN or self.find_invalid_reason() is None
         return self.decision.label if believed else UNDECIDED
 
     @property
     def thickness_m(self) -> float | None:
-        """Of what is held, from the gap between the jaws at contact; None where that is not known or not believed."""
+        """Thickness of the tissue, m: the gap between the jaws at contact; None if not known or not reliable."""
         unbelieved = self._in_contact_before or self.flags & ENCODER_SLIPS
         return None if unbelieved else self._gap_m
 
@@ -211,7 +216,7 @@ class GraspEstimator:
         return max(self.decision.decided_tick - since, 0) / self._rate_hz
 
     def compute_criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
-        """The paper's convergence time (s after contact) and mean force error (N) of each filter."""
+        """Return the paper's convergence time (s after contact) and mean force error (N) of each filter."""
         convergence = self._errors.convergence_samples() / self._rate_hz
         error = self._errors.mean_error_n()
         return (
@@ -220,7 +225,7 @@ class GraspEstimator:
         )
 
     def finish(self, end_tick: int) -> GraspRecord:
-        """The record of the grasp that ended at `end_tick`."""
+        """Return the record of the grasp, which ended at `end_tick`."""
         convergence, error = self.compute_criteria()
         rate_hz = self._rate_hz
         label, probabilities = self.label, self.probabilities_by_name()

@@ -1,10 +1,10 @@
 """One extended Kalman filter on one grasp, compiled.
 
 State: [x, x', log alpha, log beta, log d, log m, offset, drift, strain noise]. Logarithms keep parameters positive.
-`offset` is what the displacement at contact is wrong by; `drift` is the force by which tissue has left its curve, N.
-`strain noise` is the strain gage's error of the present sample, V: it enters the force (input) and the displacement
-(measurement) together, Eqs. (1) and (3), so it has to be a state for their correlation to be right. The force goes
-straight from one sample to the next.
+`offset` is the error of the displacement's zero at contact, m. `drift` is the force by which the tissue has left its
+curve, N. `strain noise` is the strain gage's error of the present sample, V. It enters the force (input) and the
+displacement (measurement) together, Eqs. (1) and (3), so it is a state to keep their correlation right. The force
+changes linearly from one sample to the next.
 """
 
 import math
@@ -33,37 +33,36 @@ STATE_COUNT = 9
 X, V, LOG_ALPHA, LOG_BETA, LOG_DAMPING, LOG_MASS, OFFSET, DRIFT, STRAIN_NOISE = range(STATE_COUNT)
 PARAMETERS = slice(LOG_ALPHA, LOG_DAMPING + 1)
 PARAMETERS_AND_MASS = slice(LOG_ALPHA, LOG_MASS + 1)
-FORCE, DISPLACEMENT, NEWTON_PER_VOLT, METRE_PER_VOLT, ELAPSED_S, IS_RISING = range(
-    6
-)  # columns of a sample as the filters take it
-LOG_LIKELIHOOD, NIS_SUM, NIS_RECENT, INFLATION = range(4)  # columns of a filter's fit
+# columns of a sample as the filters take it
+FORCE, DISPLACEMENT, NEWTON_PER_VOLT, METRE_PER_VOLT, ELAPSED_S, IS_RISING = range(6)
+LOG_LIKELIHOOD, NIS_SUM, NIS_RECENT, INFLATION = range(4)  # columns of a filter's fit statistics
 
 
 class FilterNoise(NamedTuple):
-    """How far a filter trusts sensors and model."""
+    """A filter's noise model of sensors and tissue."""
 
     strain_var: float  # V², enters force and displacement by newton_per_volt and metre_per_volt
-    force_var: float  # N², of the force in a step beside that
-    displacement_var: float  # m², of a displacement beside that
-    walk_alpha: float  # variances of the log parameters' walk, a sample
+    force_var: float  # N², further noise of the force in a step
+    displacement_var: float  # m², further noise of a displacement
+    walk_alpha: float  # variances of the log parameters' random walk, per sample
     walk_beta: float
     walk_damping: float
-    dynamic_share: float  # by which damping and inertial force may be wrong, sample by sample
-    drift_rate: float  # of the force squared, 1/s: random walk of the force by which the tissue leaves its curve
+    dynamic_share: float  # share by which damping and inertial force may be wrong, sample by sample
+    drift_rate: float  # share of the force squared, 1/s: random walk of the drift
     learns_held: float  # 0: parameters are learned only while the force rises
 
 
 @compiled
 def process_sample(mean, cov, fit, about, before, sample, noise, step, rows, gain):
-    """Predict from the sample `before` to `sample` and correct by it, in place.
+    """Predict the state from the sample `before` to `sample` and correct it, in place.
 
     Args:
         mean, cov: state, (9,) and (9, 9).
-        fit: log-likelihood, sum and running mean of the normalised innovations squared, and by how much the covariance
-            has been widened in all, (4,).
-        about: log parameters about which the model is linearised, (4,).
-        before, sample: force N, displacement m, what a volt of strain noise does to each, and the time since the sample
-            before, s; and whether the force rises; (6,).
+        fit: log-likelihood, sum and running mean of the normalized innovations squared, and total inflation of the
+            covariance, (4,).
+        about: log alpha, beta, d and m about which the model is linearized, (4,).
+        before, sample: force N, displacement m, change of each per volt of strain noise, time since the previous
+            sample s, and whether the force rises, (6,).
         step, rows, gain: scratch, (2, 4), (2, 9) and (9,).
     """
     predict(mean, cov, about, before, sample, noise, step, rows)
@@ -78,7 +77,7 @@ def process_sample(mean, cov, fit, about, before, sample, noise, step, rows, gai
 
 @compiled
 def predict(mean, cov, about, before, sample, noise, step, rows):
-    """Time update over one sample, Eqs. (14), (15), (19), (20) with a stable step; see `take`."""
+    """Time update over one sample, Eqs. (14), (15), (19), (20) with a stable step; see `process_sample`."""
     alpha, beta, damping, mass = math.exp(about[0]), math.exp(about[1]), math.exp(about[2]), math.exp(about[3])
     x, v = mean[X], mean[V]
     elastic = elastic_force(alpha, beta, x)
@@ -101,7 +100,7 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
     mean[V] = step[1, 0] * x + step[1, 1] * v + step[1, 2] * held + step[1, 3] * rise
     mean[STRAIN_NOISE] = 0.0
 
-    for r in range(2):  # rows of Phi P for x and v; the noise of the sample before fades over the step
+    for r in range(2):  # rows of Phi P for x and v; the previous sample's noise fades over the step
         g = step[r, 2]
         by_strain = -before[NEWTON_PER_VOLT] * (g - step[r, 3])
         for j in range(STATE_COUNT):
@@ -162,8 +161,8 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
 def update(mean, cov, displacement_m, metre_per_volt, noise, learns, gain):
     """Measurement update for y = x + offset + (dx/dV) strain + noise, Eqs. (16) to (18).
 
-    Where it does not learn, parameters and their covariance stay as they are, and all the rest is corrected (Schmidt).
-    Returns the innovation, m, its variance, m², and by how much the covariance was widened before.
+    If `learns` is False, parameters and mass keep mean and covariance, and all else is corrected (Schmidt filter).
+    Returns the innovation, m, its variance, m², and the factor by which the covariance was inflated first.
     """
     innovation = displacement_m - mean[X] - mean[OFFSET] - metre_per_volt * mean[STRAIN_NOISE]
     variance = project_covariance(cov, metre_per_volt, gain) + noise.displacement_var
@@ -189,7 +188,7 @@ def update(mean, cov, displacement_m, metre_per_volt, noise, learns, gain):
 
 @compiled
 def project_covariance(cov, metre_per_volt, gain):
-    """P Hᵀ into `gain` (9,); returns H P Hᵀ, m²."""
+    """Write P Hᵀ into `gain` (9,) and return H P Hᵀ, m²."""
     for j in range(STATE_COUNT):
         gain[j] = cov[j, X] + cov[j, OFFSET] + metre_per_volt * cov[j, STRAIN_NOISE]
     return gain[X] + gain[OFFSET] + metre_per_volt * gain[STRAIN_NOISE]
@@ -197,7 +196,7 @@ def project_covariance(cov, metre_per_volt, gain):
 
 @compiled
 def inflate_covariance(cov, factor):
-    """Be less sure of everything but the strain noise by `factor`, in place."""
+    """Multiply the covariance of all states but the strain noise by `factor`, in place."""
     root = math.sqrt(factor)
     for j in range(STATE_COUNT):
         for q in range(STATE_COUNT):
@@ -206,7 +205,7 @@ def inflate_covariance(cov, factor):
 
 @compiled
 def is_healthy(mean, cov, guess):
-    """False once a filter has diverged: not finite, a variance negative, or a parameter run away from its guess."""
+    """Return False if a filter has diverged: not finite, a negative variance, or a parameter far from its guess."""
     for j in range(STATE_COUNT):
         if not (math.isfinite(mean[j]) and cov[j, j] >= 0.0):
             return False
@@ -218,9 +217,9 @@ def is_healthy(mean, cov, guess):
 
 @compiled
 def repeat_pass(mean, cov, fit, about, guess, samples, noise, step, rows, gain):
-    """Go over all `samples` from the grasp's start, linearised about `about`; returns whether the filter stayed sound.
+    """Process all `samples` of the grasp again, linearized about `about`; return whether the filter stayed healthy.
 
-    `mean` and `cov` hold the state at the first sample; one step of Gauss and Newton's method in the parameters.
+    `mean` and `cov` hold the state at the first sample. It is one Gauss-Newton step in the parameters.
     """
     fit[:] = 1.0
     fit[LOG_LIKELIHOOD], fit[NIS_SUM] = 0.0, 0.0
@@ -233,7 +232,7 @@ def repeat_pass(mean, cov, fit, about, guess, samples, noise, step, rows, gain):
 
 @compiled
 def is_force_rising(history, taken, force_n):
-    """Whether the force has risen over the last samples by more than its noise, or the grasp has only begun."""
+    """Return whether the force has risen by more than its noise over the last samples, or the grasp just began."""
     if taken <= RISE_SPAN_SAMPLES + RISE_MEAN_SAMPLES:
         return True
     change = force_n
@@ -262,16 +261,16 @@ def advance_bank(
     shown_mean,
     shown_var,
 ):
-    """Advance all filters over `samples`, (n, 5): M tissues times as many filters each as there are `noises`.
+    """Advance all K filters over `samples`, (n, 5): for each of `noises` one filter for each of M tissues.
 
     Args:
-        history: the grasp's samples so far, (capacity, 6); its first row is the one that the grasp began with.
-        taken: how many came so far, (1,); the last of them is in row (taken - 1) modulo the capacity.
-        second_pass_at: counts at which the filters go over the grasp again, (m,), at most the capacity.
-        guess, first_mean, first_cov: log parameters (K, 3) and states (K, 9), (K, 9, 9) that the grasp began with;
-            K filters: all tissues with the first noise, then all with the next.
+        history: ring buffer of the grasp's samples so far, (capacity, 6).
+        taken: number of samples so far, (1,); the last one is in row (taken - 1) modulo the capacity.
+        second_pass_at: sample counts at which the filters process the grasp again, (m,), at most the capacity.
+        guess, first_mean, first_cov: log parameters (K, 3) and states (K, 9), (K, 9, 9) at the grasp's start, for all
+            tissues with the first noise, then all tissues with the next.
         mean, cov, fit, valid: the filters' present state, changed in place.
-        surprise: how badly even the best of the last kind of filter has ever fitted lately in this grasp, (1,).
+        surprise: highest running misfit so far of the best filter with the last noise, (1,), changed in place.
         shown_mean, shown_var: each tissue's likelier filter after each sample, (n, M, 9); NaN where all have diverged.
     """
     step, rows, gain = np.empty((2, 4)), np.empty((2, STATE_COUNT)), np.empty(STATE_COUNT)
@@ -327,7 +326,7 @@ def advance_bank(
 
 @compiled
 def find_most_likely(first, until, fit, valid):
-    """The filter from `first` to before `until` that the data make likeliest; -1 where none is valid."""
+    """Return the valid filter from `first` to before `until` with the highest likelihood; -1 if there is none."""
     best = -1
     for k in range(first, until):
         if valid[k] and (best < 0 or fit[k, LOG_LIKELIHOOD] > fit[best, LOG_LIKELIHOOD]):
@@ -337,5 +336,5 @@ def find_most_likely(first, until, fit, valid):
 
 @compiled
 def is_tracking(k, fit, valid):
-    """Whether filter k has neither diverged nor lost the data just now."""
+    """Return whether filter k has neither diverged nor lost the data at present."""
     return valid[k] and fit[k, NIS_RECENT] < NIS_DIVERGED

@@ -1,4 +1,4 @@
-"""From sample blocks to estimate blocks: follows a source from its first sample to its last."""
+"""Turn sample blocks into estimate blocks, from a source's first sample to its last."""
 
 import math
 from collections import deque
@@ -28,26 +28,28 @@ from estimator.loading.learned_evidence import LearnedEvidence, LearnedGrasp
 
 IN_GRASP, CONTACT, CONTACT_SENSED = SampleFlag.IN_GRASP.value, SampleFlag.CONTACT.value, SampleFlag.CONTACT_SENSED.value
 INVALID, ENCODER_SLIPS, LIMITED = SampleFlag.INVALID.value, SampleFlag.ENCODER_SLIPS.value, SampleFlag.LIMITED.value
-APPROACH_SAMPLES = 8  # before contact: how fast the jaws come
-STEP_SAMPLES = 5  # probabilities are renewed at ticks that are multiples of this, and at a block's end
-MEDIAN_DIFFERENCE_PER_SD = (
-    0.6745 * 2**0.5
-)  # of two samples' difference, in standard deviations of one, if it is Gaussian
+APPROACH_SAMPLES = 8  # samples before contact that give the speed of the closing jaws
+STEP_SAMPLES = 5  # probabilities are updated at ticks that are multiples of this, and at a block's end
+# Median absolute difference of two Gaussian samples, in standard deviations of one sample.
+MEDIAN_DIFFERENCE_PER_SD = 0.6745 * 2**0.5
 MIN_PLAUSIBLE_PROBABILITY = 0.05  # a tissue at least this probable keeps its threshold in force
 CRITERIA_INTERVAL_STEPS = 20  # steps between two evaluations of the paper's criteria for the live view
 
 
 class RestNoiseEstimator:
-    """The strain gage's noise as it is before a grasp, whatever the tool file says: it ages, and its cable moves."""
+    """Estimator of the strain gage's noise at rest before a grasp.
+
+    The noise may differ from the tool file's value, because the gage ages and its cable moves.
+    """
 
     def __init__(self, tool: Tool) -> None:
         self._tool_file_variance_v2 = tool.noise.strain_var_v2
         self._differences_v: deque[float] = deque(maxlen=REST_SAMPLES)
         self._last_v: float | None = None
-        self._rest_samples = REST_SETTLING_SAMPLES  # what comes first in a source is no rest after a grasp
+        self._rest_samples = REST_SETTLING_SAMPLES  # a source does not begin after a grasp: no settling needed
 
     def update(self, strain_v: list[float], *, at_rest: bool) -> None:
-        """Follow the samples of a step, which counts as in a grasp where its last sample is."""
+        """Process the samples of a step; `at_rest` is False if the step's last sample is in a grasp."""
         if not at_rest:
             self._rest_samples, self._last_v = 0, None
             return
@@ -61,7 +63,11 @@ class RestNoiseEstimator:
             self._last_v = value
 
     def variance_v2(self) -> float:
-        """Variance of one sample, V²: from the median step, which neither drift nor spikes disturb."""
+        """Return the variance of one sample, V².
+
+        It comes from the median step between samples, which is robust against drift and spikes. With fewer than
+        `MIN_REST_SAMPLES` it is the tool file's variance.
+        """
         if len(self._differences_v) < MIN_REST_SAMPLES:
             return self._tool_file_variance_v2
         sd_v = float(np.median(self._differences_v)) / MEDIAN_DIFFERENCE_PER_SD
@@ -70,10 +76,10 @@ class RestNoiseEstimator:
 
 
 class TissueEstimator:
-    """The estimator's whole state. Call `process` with each block in its order, `finish` after the last."""
+    """The estimator's whole state. Call `process` with each block in order, and `finish` after the last one."""
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
-        """Before a source's first block.
+        """Create the filters and the evidence for a tool and a library.
 
         Raises:
             ConfigurationError: the library was learned with a tool of another calibration.
@@ -95,18 +101,18 @@ class TissueEstimator:
         self._reset()
 
     def _reset(self) -> None:
-        """As if nothing had been seen before; force warnings go on, as the force does."""
+        """Discard all samples seen so far. The force alarms keep their state, because the force continues."""
         self._recent_samples = np.zeros(0, SAMPLE_DTYPE)
         self._rest_noise = RestNoiseEstimator(self._tool)
         self._previous_closure_deg: float | None = (
-            None  # where the grasp before shut the jaws, as a learned library needs it
+            None  # jaw closure angle of the previous grasp, for learned libraries
         )
-        self._strain_var_v2 = self._rest_noise.variance_v2()  # as measured before the grasp under way
+        self._strain_var_v2 = self._rest_noise.variance_v2()  # as measured before the current grasp
         self._forecast = ForceForecast(self._rate_hz)
         self._history_samples = max(2 * BACKDATING_SAMPLES, self._forecast.window_samples)
         self._grasp: GraspEstimator | None = None
         self._in_grasp = False
-        self._published_label = UNDECIDED  # label of the grasp under way as it was told last
+        self._published_label = UNDECIDED  # last published label of the current grasp
         self._criteria = self._empty_criteria()
         self._last_tick = 0
 
@@ -115,7 +121,7 @@ class TissueEstimator:
         return nothing, nothing
 
     def process(self, block: SampleBlock) -> EstimateBlock:
-        """Estimates, identification, finished grasps and alarms for one block."""
+        """Return estimates, identification, finished grasps and alarms for one block."""
         ended: list[GraspRecord] = []
         if block.run and block.run != self._run:
             cut_short = self.finish()
@@ -151,7 +157,7 @@ class TissueEstimator:
         )
 
     def finish(self) -> GraspRecord | None:
-        """The record of a grasp that the source's end cut short."""
+        """Return the record of a grasp that the source's end cut short; None if there is none."""
         if not (self._in_grasp and self._grasp):
             return None
         self._in_grasp = False
@@ -160,7 +166,7 @@ class TissueEstimator:
     def _process_step(
         self, window: np.ndarray, rows: np.ndarray, ended: list[GraspRecord], withdrawn: list[LabelWithdrawal]
     ) -> None:
-        """The last few samples of `window`: begin, follow or end the grasp they belong to."""
+        """Begin, follow or end a grasp with the last samples of `window`, as many as there are `rows`."""
         last = window[-1]
         in_grasp = bool(last["flags"] & IN_GRASP)
         self._rest_noise.update(window[-len(rows) :]["strain_v"].tolist(), at_rest=not in_grasp)
@@ -188,11 +194,13 @@ class TissueEstimator:
             self._note_withdrawal(self._grasp, int(last["tick"]), withdrawn)
 
     def _start_learned_grasp(self, before: np.ndarray, start_tick: int) -> LearnedGrasp | None:
-        """With a learned library, what follows the loading curve; it is given those samples since the grasp's start
-        that came before this step."""
+        """Return the loading-curve estimator of a learned library; None without one.
+
+        It receives the samples `before` this step that belong to the grasp already.
+        """
         if self._learned_evidence is None:
             return None
-        if self._grasp and self._grasp.learned_grasp:  # the grasp before
+        if self._grasp and self._grasp.learned_grasp:  # the previous grasp
             shut_deg = self._grasp.learned_grasp.loading_curve.jaw_closure_deg
             if shut_deg is not None or self._grasp.flags & ENCODER_SLIPS:
                 self._previous_closure_deg = None if self._grasp.flags & ENCODER_SLIPS else shut_deg
@@ -201,14 +209,14 @@ class TissueEstimator:
         return learned
 
     def _note_withdrawal(self, grasp: GraspEstimator, tick: int, withdrawn: list[LabelWithdrawal]) -> None:
-        """Note where the name that was told last does not hold any more, whatever took it away."""
+        """Append a withdrawal if the grasp no longer has the label that was published last."""
         told, self._published_label = self._published_label, grasp.label
         if told not in (UNDECIDED, grasp.label):
             left = grasp.probabilities_by_name()[told]
             withdrawn.append(LabelWithdrawal(tick, grasp.index, told, left, grasp.find_invalid_reason()))
 
     def _is_touch_sensed(self, window: np.ndarray, tick: int) -> bool:
-        """Whether a trusted sensor told touch at that tick."""
+        """Return whether a trusted touch sensor detected contact at that tick."""
         if not self._contact_detection.touch_trusted:
             return False
         at = window[min(int(np.searchsorted(window["tick"], tick)), len(window) - 1)]
@@ -228,25 +236,25 @@ class TissueEstimator:
         if last["contact_tick"] >= 0 and not grasp.learning_ended:
             self._update_filters(grasp, window, rows)
         elif grasp.learning_ended and grasp.learned_grasp is None:
-            grasp.decision.update(grasp.probabilities, int(last["tick"]))  # what is known by now may still be told
+            grasp.decision.update(grasp.probabilities, int(last["tick"]))  # a decision may still become due
         grasp.update_loading_curve(samples)
         rows["probability"] = grasp.probabilities[:-1]
         rows["probability_unknown"] = grasp.probabilities[-1]
 
     def _update_filters(self, grasp: GraspEstimator, window: np.ndarray, rows: np.ndarray) -> None:
-        """Give the samples in contact to the filters, those before contact was known included."""
+        """Pass the samples in contact to the filters, including those from before contact was detected."""
         samples = window[-len(rows) :]
         if grasp.contact_tick < 0:
             since = int(np.searchsorted(window["tick"], window[-1]["contact_tick"]))
             before_m = window["jaw_displacement_m"][max(since - APPROACH_SAMPLES, 0) : since]
-            sensed = bool(window[-1]["flags"] & CONTACT_SENSED)  # a back-dated first sample does not know it yet
+            sensed = bool(window[-1]["flags"] & CONTACT_SENSED)  # a back-dated first sample lacks the flag
             sound = np.flatnonzero((window["flags"][since:] & INVALID) == 0)
             if not len(sound):
-                return  # contact is told, but nothing of it can be believed yet
+                return  # no valid sample in contact yet
             first = since + int(sound[0])
             grasp.on_contact(window[first], before_m, self._opening_m, self._strain_var_v2, contact_sensed=sensed)
             samples = window[first + 1 :]
-            rows = blank_estimates(self._dtype, samples["tick"])  # what is earlier has been published
+            rows = blank_estimates(self._dtype, samples["tick"])  # discarded: earlier rows are published already
         sound = (samples["flags"] & INVALID) == 0
         if not sound.all():
             grasp.invalid_samples += int(np.count_nonzero(~sound))
@@ -264,9 +272,10 @@ class TissueEstimator:
                 alarms.append(alarm)
 
     def _find_active_threshold(self, label: str) -> tuple[float, str | None]:
-        """Injury threshold in force, N, and whose it is; the lowest of the library (None) while no tissue is named.
+        """Return the threshold in force, N, and its tissue.
 
-        A named tissue's threshold counts only as far as no other tissue with a lower one is still plausible.
+        While no tissue is named it is the library's lowest threshold, with None as tissue. Otherwise it is the lowest
+        of the named tissue and all tissues that are still plausible.
         """
         if not (self._in_grasp and self._grasp and label in self._thresholds_n):
             return self._lowest_threshold_n, None
@@ -279,9 +288,8 @@ class TissueEstimator:
         grasp, last = self._grasp, samples[-1]
         step = int(last["tick"]) // STEP_SAMPLES
         held_steps = (int(last["tick"]) - grasp.start_tick) // STEP_SAMPLES if grasp else 0
-        every = max(
-            CRITERIA_INTERVAL_STEPS, held_steps // CRITERIA_INTERVAL_STEPS
-        )  # the longer the grasp, the dearer the look back
+        # The criteria read the whole grasp, so they are computed less often as it gets longer.
+        every = max(CRITERIA_INTERVAL_STEPS, held_steps // CRITERIA_INTERVAL_STEPS)
         if grasp and self._in_grasp and not grasp.learning_ended and step % every == 0:
             self._criteria = grasp.compute_criteria()
         probabilities = grasp.probabilities_by_name() if grasp else {}
@@ -309,8 +317,10 @@ class TissueEstimator:
         )
 
     def _forecast_time_to_limit_s(self, limit_n: float) -> float | None:
-        """Until the force reaches the limit, s, if it goes on as over the last samples; None between grasps, and where
-        nothing limits the force (NaN)."""
+        """Return the forecast time until the force reaches the limit, s.
+
+        None between grasps, after missing samples, and where no limit is enforced (NaN).
+        """
         recent, n = self._recent_samples, self._forecast.window_samples
         if not self._in_grasp or math.isnan(limit_n):
             return None

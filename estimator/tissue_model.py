@@ -1,8 +1,8 @@
-"""The tissue model, Eqs. (7) to (11), and its exact local discretisation, compiled.
+"""The tissue model, Eqs. (7) to (11), and its exact local discretization, compiled.
 
-The printed explicit Euler step (19) is unstable for a 5 g mass at 1 ms. Here the local linearisation is integrated
-exactly over the step, Eq. (14), with the 2x2 matrix exponential of displacement and velocity in closed form, under a
-force that goes straight from one sample to the next; the rows of the parameters are identity.
+The printed explicit Euler step (19) is unstable for a 5 g mass at 1 ms. Here the local linearization is integrated
+exactly over the step, Eq. (14). The 2x2 matrix exponential of displacement and velocity is in closed form, and the
+force changes linearly from one sample to the next. The parameters' rows of the transition matrix are identity.
 """
 
 import math
@@ -15,7 +15,7 @@ from estimator.constants import EXPONENT_LIMIT
 
 @compiled
 def elastic_force(alpha_n: float, beta_per_m: float, x_m: float) -> float:
-    """alpha (exp(beta x) - 1), N. Below contact it goes on straight, so that its slope never vanishes."""
+    """Return alpha (exp(beta x) - 1), N. For x < 0 it continues linearly, so that its slope never vanishes."""
     if x_m < 0.0:
         return alpha_n * beta_per_m * x_m
     return alpha_n * math.expm1(min(beta_per_m * x_m, EXPONENT_LIMIT))
@@ -23,16 +23,16 @@ def elastic_force(alpha_n: float, beta_per_m: float, x_m: float) -> float:
 
 @compiled
 def tangent_stiffness(alpha_n: float, beta_per_m: float, x_m: float) -> float:
-    """Slope of the elastic force, alpha beta exp(beta x), N/m."""
+    """Return the slope of the elastic force, alpha beta exp(beta x), N/m."""
     return alpha_n * beta_per_m * math.exp(min(beta_per_m * max(x_m, 0.0), EXPONENT_LIMIT))
 
 
 @compiled
 def step_matrices(mass_kg, stiffness_n_per_m, damping_kg_per_s, dt_s, step):
-    """The exact step of m x'' + d x' + k x = u over dt, for u that goes straight from u0 to u1.
+    """Compute the exact step of m x'' + d x' + k x = u over dt, for u that changes linearly from u0 to u1.
 
-    Writes into `step`, shape (2, 4), rows for displacement and velocity: the transition in columns 0 and 1, the answer
-    to u0 held over the step in 2, and the answer to the rise by u1 - u0 in 3.
+    The result goes into `step`, shape (2, 4), with rows for displacement and velocity. Columns 0 and 1 hold the
+    transition, column 2 the response to a constant u0, and column 3 the response to the rise u1 - u0.
     """
     k = stiffness_n_per_m / mass_kg
     c = damping_kg_per_s / mass_kg
@@ -63,5 +63,5 @@ def step_matrices(mass_kg, stiffness_n_per_m, damping_kg_per_s, dt_s, step):
 
 
 def force_curve(alpha_n: float, beta_per_m: float, x_m: np.ndarray) -> np.ndarray:
-    """alpha (exp(beta x) - 1) for an array of displacements, N."""
+    """Return alpha (exp(beta x) - 1) for an array of displacements, N."""
     return alpha_n * np.expm1(np.minimum(beta_per_m * x_m, EXPONENT_LIMIT))

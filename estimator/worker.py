@@ -1,4 +1,4 @@
-"""The estimator worker: a process that turns sample blocks into estimate blocks."""
+"""The estimator worker: the process that turns sample blocks into estimate blocks."""
 
 import json
 import time
@@ -23,7 +23,7 @@ POLL_INTERVAL_MS = 200
 
 @dataclass(frozen=True, slots=True)
 class EstimatorSetup:
-    """All that the worker needs to know."""
+    """Start parameters of the estimator worker."""
 
     parent_pid: int
     endpoints: bus.Endpoints
@@ -33,7 +33,7 @@ class EstimatorSetup:
 
 
 def main(setup: EstimatorSetup) -> None:
-    """Run until a signal. Says when its filters are compiled and ready."""
+    """Run the estimator until a signal stops it. Publish a notice when the filters are compiled."""
     stop = initialize_worker("estimator", setup.parent_pid)
     context = zmq.Context()
     samples = bus.open_subscriber(context, setup.endpoints.samples)
@@ -47,7 +47,7 @@ def main(setup: EstimatorSetup) -> None:
     last_ready = 0.0
     try:
         while not stop.is_set:
-            if time.monotonic() - last_ready > 1.0:  # repeated: a subscriber may have come late
+            if time.monotonic() - last_ready > 1.0:  # repeated, because a subscriber may connect late
                 granted.priority.renew()
                 publisher.send_multipart(bus.pack_notice("estimating", realtime=str(granted)))
                 last_ready = time.monotonic()
@@ -63,17 +63,16 @@ def main(setup: EstimatorSetup) -> None:
                 session = _create_estimator(setup)
             counter.update(block.sequence, block.t_mono_ns)
             estimate = session.process(block)
-            limits.send(
-                bus.pack_threshold(to_threshold_update(estimate.identification))
-            )  # first: somebody waits for it
+            # The threshold goes first: the limiter waits for it.
+            limits.send(bus.pack_threshold(to_threshold_update(estimate.identification)))
             publisher.send_multipart(pack_estimates(estimate, counter.missing))
     finally:
         context.destroy(linger=200)
 
 
 def compile_filters(setup: EstimatorSetup) -> None:
-    """Compile the filters, or load them from the cache, before anything depends on them."""
-    from estimator.filter_bank import ContactStart  # see below
+    """Compile the filters, or load them from the cache, before the first sample arrives."""
+    from estimator.filter_bank import ContactStart  # imported here for the reason below
 
     session = _create_estimator(setup)
     session.bank.start(ContactStart(np.array([0.01, 0.0, 7.0, -0.006, 0.0])))
@@ -82,15 +81,14 @@ def compile_filters(setup: EstimatorSetup) -> None:
 
 
 def _create_estimator(setup: EstimatorSetup) -> "TissueEstimator":
-    from estimator.online_estimator import (
-        TissueEstimator,  # with the compiler; the server, which only starts this, needs none
-    )
+    # Imported here, because it loads the compiler, which the server that starts this worker does not need.
+    from estimator.online_estimator import TissueEstimator
 
     return TissueEstimator(setup.tool, setup.library, setup.settings)
 
 
 def to_threshold_update(found: IdentificationResult) -> bus.ThresholdUpdate:
-    """What the acquisition's limiter is told."""
+    """Return the threshold message for the acquisition's limiter."""
     return bus.ThresholdUpdate(found.threshold_n, found.threshold_tissue, found.tick)
 
 
@@ -111,7 +109,7 @@ def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:
 
 @dataclass(frozen=True, slots=True)
 class ReceivedEstimates:
-    """An estimate block on the other side, with when it was published and what the estimator missed so far."""
+    """An estimate block as received, with its time of publication and the number of blocks the estimator missed."""
 
     block: EstimateBlock
     published_ns: int

@@ -1,4 +1,4 @@
-"""The client of a Graspwatch service: programs watch, start and stop a tool through it.
+"""The Python client of a Graspwatch service, for programs that watch, start and stop a tool.
 
     async with Graspwatch("http://localhost:8000") as tool:
         async for estimate in tool.live():

@@ -1,4 +1,4 @@
-"""Requests and their answers: httpx, with the service's own words for what went wrong."""
+"""REST requests with httpx. Errors carry the service's own message."""
 
 from collections.abc import AsyncGenerator
 from http import HTTPStatus
@@ -14,7 +14,7 @@ Answer = TypeVar("Answer")
 
 
 def refused(status: int, content: bytes) -> RefusedError:
-    """What an answer says that is none."""
+    """Convert an error response to a `RefusedError`."""
     try:
         problem = Problem.model_validate_json(content)
     except ValidationError:
@@ -28,7 +28,7 @@ def unreachable(url: httpx.URL, error: Exception) -> UnreachableError:
 
 
 class Asking:
-    """Every method may raise `UnreachableError` and `RefusedError`."""
+    """REST client. Every method may raise `UnreachableError` and `RefusedError`."""
 
     def __init__(self, http: httpx.AsyncClient) -> None:
         self._http = http
@@ -43,7 +43,7 @@ class Asking:
         params: dict[str, Any] | None = None,
         fine: tuple[int, ...] = (),
     ) -> Answer:
-        """An answer of this type; those with a status in `fine` are answers, too."""
+        """Return the response as the type `answer`; an error status in `fine` does not raise."""
         content = body.model_dump(mode="json", exclude_none=True) if body else None
         response = await self.request(method, path, fine=fine, json=content, params=params)
         return TypeAdapter(answer).validate_json(response.content)
@@ -58,7 +58,7 @@ class Asking:
         return response
 
     async def parts(self, path: str) -> AsyncGenerator[bytes, None]:
-        """A long answer, piece by piece."""
+        """Yield a long response in parts."""
         try:
             async with self._http.stream("GET", path) as response:
                 if response.is_error:

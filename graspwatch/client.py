@@ -1,4 +1,4 @@
-"""A service's REST interface and live stream as Python, with the messages of `app/messages/wire.py`."""
+"""The Python client: REST interface and live stream of a service, with the messages of `app/messages/wire.py`."""
 
 import asyncio
 import contextlib
@@ -46,9 +46,9 @@ ASK_AGAIN_S = 0.1
 
 
 class Graspwatch:
-    """One service. Use it as `async with Graspwatch(url) as tool`.
+    """Client of one service. Use it as `async with Graspwatch(url) as tool`.
 
-    Every method may raise `UnreachableError` (nobody answers) and `RefusedError` (the service says why not).
+    Every method may raise `UnreachableError` (no answer) and `RefusedError` (the service refused the request).
     """
 
     def __init__(
@@ -60,9 +60,16 @@ class Graspwatch:
         by: str | None = None,
         timeout_s: float = 10.0,
     ) -> None:
-        """`token` is what `graspwatch token add` printed; `trust` knows the certificate of a service at https (None:
-        as this computer does); `by` is a name for the journal where the service knows nobody by a token. A service on
-        this computer is asked directly, others through the proxy that `HTTPS_PROXY` and the like name."""
+        """Create a client; no connection is opened yet.
+
+        Args:
+            url: address of the service. A service on another computer is reached through the proxy that `HTTPS_PROXY`
+                and similar variables name.
+            token: token that `graspwatch token add` printed.
+            trust: certificates that the client trusts; None for this computer's own.
+            by: name for the journal, for a service without tokens.
+            timeout_s: longest wait for a connection or an answer.
+        """
         self._by, self._timeout_s = by, timeout_s
         self._ssl_context = trust or ssl.create_default_context()
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
@@ -71,7 +78,7 @@ class Graspwatch:
             headers=self._headers,
             verify=self._ssl_context,
             timeout=timeout_s,
-            trust_env=not is_this_computer(httpx.URL(url).host),  # its proxy variables are for other computers
+            trust_env=not is_this_computer(httpx.URL(url).host),  # proxy variables are for other computers
         )
         self._rest_client = Asking(self._http)
 
@@ -84,61 +91,61 @@ class Graspwatch:
     ) -> None:
         await self._http.__aexit__(kind, error, trace)
 
-    # --- what there is -----------------------------------------------------------------------------------------------
+    # --- state -------------------------------------------------------------------------------------------------------
 
     async def health(self) -> Health:
-        """Whether it is ready; also while it is not."""
+        """Return the service's health; does not raise if the service is not ready."""
         return await self._rest_client.ask(Health, "GET", "/api/health", fine=(HTTPStatus.SERVICE_UNAVAILABLE,))
 
     async def system(self) -> System:
-        """Versions, machine, and the configuration in use."""
+        """Return versions, machine, and the configuration in use."""
         return await self._rest_client.ask(System, "GET", "/api/system")
 
     async def session(self) -> SessionInfo:
-        """Who one is to the service, and what one may do."""
+        """Return the caller's name and role."""
         return await self._rest_client.ask(SessionInfo, "GET", "/api/session")
 
     async def tool(self) -> ToolInfo:
         return await self._rest_client.ask(ToolInfo, "GET", "/api/tool")
 
     async def tissues(self) -> LibraryInfo:
-        """The tissue library in use, with injury thresholds in N."""
+        """Return the tissue library in use, with injury thresholds in N."""
         return await self._rest_client.ask(LibraryInfo, "GET", "/api/tissues")
 
     async def protocols(self) -> list[ProtocolInfo]:
         return await self._rest_client.ask(list[ProtocolInfo], "GET", "/api/protocols")
 
     async def alarms(self) -> list[Alarm]:
-        """Those whose cause is there, and those that wait for somebody to acknowledge them."""
+        """Return the alarms whose cause persists, and those that wait for an acknowledgment."""
         return await self._rest_client.ask(list[Alarm], "GET", "/api/alarms")
 
     async def journal(self, most: int = 200) -> list[JournalEntry]:
-        """What happened, newest first."""
+        """Return up to `most` entries of the journal, newest first."""
         return await self._rest_client.ask(list[JournalEntry], "GET", "/api/journal", params={"most": most})
 
     async def calibration(self) -> Calibration:
         return await self._rest_client.ask(Calibration, "GET", "/api/calibration")
 
     async def metrics(self) -> str:
-        """As Prometheus reads them."""
+        """Return the metrics in Prometheus format."""
         return (await self._rest_client.request("GET", "/metrics")).text
 
     # --- grasping ----------------------------------------------------------------------------------------------------
 
     async def start(self, protocol: str, *, cycles: int | None = None, tissue: str | None = None) -> Run:
-        """Start a protocol; a tool that is not armed is armed first. `tissue` is for the simulated grasper."""
+        """Start a protocol, and arm the tool first if it is not armed. `tissue` is for the simulated grasper."""
         wanted = RunRequest(protocol=protocol, cycles=cycles, tissue=tissue, by=self._by)
         return await self._rest_client.ask(Run, "POST", "/api/runs", wanted)
 
     async def stop(self) -> StopAnswer:
-        """Motor to zero at once, whatever runs."""
+        """Bring the motor to zero at once, in every state."""
         return await self._rest_client.ask(StopAnswer, "POST", "/api/stop", StopRequest(by=self._by))
 
     @contextlib.asynccontextmanager
     async def running(
         self, protocol: str, *, cycles: int | None = None, tissue: str | None = None
     ) -> AsyncGenerator[Run, None]:
-        """A run that does not outlive the block: when that is left, however it is, a run under way is stopped."""
+        """Start a run, and stop it when the `async with` block is left, also by an exception."""
         run = await self.start(protocol, cycles=cycles, tissue=tissue)
         try:
             yield run
@@ -146,10 +153,10 @@ class Graspwatch:
             await self._rest_client.ask(StopAnswer, "POST", f"/api/runs/{run.id}/stop", StopRequest(by=self._by))
 
     async def finished(self, run: Run | str, timeout_s: float | None = None) -> Run:
-        """Wait until a run is over; how it ended stands in its `state`.
+        """Wait until a run is over and return it; its `state` says how it ended.
 
         Raises:
-            TimeoutError: it is not over within `timeout_s`; it goes on.
+            TimeoutError: the run is not over within `timeout_s`; it continues.
         """
         run_id = run if isinstance(run, str) else run.id
         async with asyncio.timeout(timeout_s):
@@ -158,31 +165,31 @@ class Graspwatch:
         return now
 
     async def runs(self, **question: Any) -> list[Run]:
-        """Of this service and earlier ones, oldest first; `question` as in `GET /api/runs`."""
+        """Return the runs of this service and earlier ones, oldest first; `question` as in `GET /api/runs`."""
         return await self._rest_client.ask(list[Run], "GET", "/api/runs", params=question)
 
     async def run(self, run_id: str) -> Run:
         return await self._rest_client.ask(Run, "GET", f"/api/runs/{run_id}")
 
     async def grasps(self, run: Run | str) -> list[Grasp]:
-        """The finished grasps of a run: label, probability, forces in N, times in s."""
+        """Return the finished grasps of a run: label, probability, forces in N, times in s."""
         run_id = run if isinstance(run, str) else run.id
         return await self._rest_client.ask(list[Grasp], "GET", f"/api/runs/{run_id}/grasps")
 
     async def arm(self) -> SafetyReport:
-        """Tare the tool and test it at rest; a start does so by itself unless the settings forbid it."""
+        """Tare the tool and test it at rest. A start does the same unless the settings forbid it."""
         return await self._rest_client.ask(SafetyReport, "POST", "/api/arm", ArmRequest(by=self._by))
 
     async def disarm(self) -> SafetyReport:
         return await self._rest_client.ask(SafetyReport, "POST", "/api/disarm", ArmRequest(by=self._by))
 
     async def acknowledge(self, alarm: Alarm) -> Alarm:
-        """Somebody has seen it; refused if it became worse since."""
+        """Acknowledge an alarm; refused if its priority has risen since."""
         seen = AcknowledgeRequest(by=self._by, priority=alarm.priority)
         return await self._rest_client.ask(Alarm, "POST", f"/api/alarms/{alarm.id}/acknowledge", seen)
 
     async def take_control(self, *, over: bool = False) -> ControlInfo:
-        """Be the only one who may start; `over` takes it from somebody else, which is told and logged."""
+        """Take control of the tool; `over` takes it from another operator, who is notified, and it is logged."""
         return await self._rest_client.ask(ControlInfo, "POST", "/api/control", ControlRequest(take_over=over))
 
     async def give_back_control(self) -> ControlInfo:
@@ -191,14 +198,14 @@ class Graspwatch:
     # --- recordings --------------------------------------------------------------------------------------------------
 
     async def recordings(self, **question: Any) -> Recordings:
-        """What is in the recordings folder; `question` as in `GET /api/recordings`."""
+        """Return the contents of the recordings folder; `question` as in `GET /api/recordings`."""
         return await self._rest_client.ask(Recordings, "GET", "/api/recordings", params=question)
 
     async def download(self, recording: str, into: Path) -> Path:
-        """Save a recording as a file of its name in the folder `into`; one that is there is not overwritten.
+        """Save a recording under its name in the folder `into`, and return the path.
 
         Raises:
-            FileExistsError: there is one.
+            FileExistsError: the file exists already; it is not overwritten.
         """
         path = into / recording
         with path.open("xb") as file:
@@ -213,11 +220,13 @@ class Graspwatch:
     # --- live --------------------------------------------------------------------------------------------------------
 
     async def live(self) -> AsyncGenerator[Identification, None]:
-        """What is held, how sure that is, and how near the force is to its limit: at every change, and ten times a
-        second during a grasp. Begins with what is known already, and never ends by itself.
+        """Yield identifications: label, probabilities and forces.
+
+        The first one is the present state. Further ones follow at every change, and ten times a second during a grasp.
+        The stream has no end of its own.
 
         Raises:
-            ConnectionLostError: the service was ended, or the connection broke.
+            ConnectionLostError: the service ended, or the connection broke.
         """
         async with contextlib.aclosing(self.messages(frames=False)) as messages:
             async for message in messages:
@@ -225,12 +234,13 @@ class Graspwatch:
                     yield message
 
     async def messages(self, *, frames: bool = True) -> AsyncGenerator[BaseModel | Frame, None]:
-        """Everything that is told, in order: first a `Hello`, then `State`, `Identification`, `GraspEnded`, `Alarm`,
-        `EventMessage`; and `Frame`s with every sample, first those of the last seconds. A program that is slow misses
-        frames, and never a message.
+        """Yield all messages in order, and frames with every sample, beginning with the last seconds.
+
+        The first message is a `Hello`; then `State`, `Identification`, `GraspEnded`, `Alarm` and `EventMessage` follow.
+        A slow program misses frames, but never a message.
 
         Raises:
-            ConnectionLostError: the service was ended, or the connection broke.
+            ConnectionLostError: the service ended, or the connection broke.
         """
         stream = messages(self._http.base_url, self._headers, self._ssl_context, self._timeout_s, with_frames=frames)
         async with contextlib.aclosing(stream) as told:

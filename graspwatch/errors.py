@@ -1,19 +1,19 @@
-"""What can go wrong between a program and a service."""
+"""The client's errors."""
 
 
 class ClientError(Exception):
-    """Any of them."""
+    """Base of the client's errors."""
 
 
 class UnreachableError(ClientError):
-    """Nobody answers at the address, or not in time."""
+    """No service answers at the address, or not in time."""
 
 
 class RefusedError(ClientError):
-    """The service answered, and refuses: why is the error's text.
+    """The service refused the request; the error's text gives the reason.
 
-    `status` is that of HTTP (401: who are you, 403: you may not, 409: not now, 422: a field is wrong, 503: the tool
-    does not answer); `fields` names each field at fault and why.
+    `status` is the HTTP status (401: no valid token, 403: not permitted, 409: not now, 422: a field is wrong, 503: the
+    tool does not answer). `fields` maps each faulty field to its reason.
     """
 
     def __init__(self, status: int, detail: str, fields: dict[str, str]) -> None:
@@ -22,4 +22,4 @@ class RefusedError(ClientError):
 
 
 class ConnectionLostError(ClientError):
-    """The stream ended: the service was ended, or the connection broke. Nothing is known of the tool any more."""
+    """The stream ended, because the service ended or the connection broke. The tool's state is not known any more."""

@@ -1,4 +1,4 @@
-"""Sample frames: what the tool measured and the filters estimated, at the full rate."""
+"""Frames: measurements and estimates at the full sample rate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ KINDS = {number: kind for kind, number in FRAME_KINDS.items()}
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Consecutive samples.
+    """Consecutive samples of all channels.
 
-    `columns` is float32, one row a channel, one column a sample, NaN where there is no value; `frame["jaw_force_n"]`
-    and `frame["probability", "liver"]` take one of them, 1-D. Names and units are those of `channels`. A tick is a
-    sample of the tool's clock; `newest_ms` is when the newest was read, by the service's monotonic clock.
+    `columns` is float32 with one row per channel and one column per sample; NaN means no value. `frame["jaw_force_n"]`
+    and `frame["probability", "liver"]` return one channel, 1-D. `channels` holds names and units. A tick is the number
+    of a sample. `newest_ms` is the time of the newest sample by the service's monotonic clock.
     """
 
     kind: FrameKind
@@ -31,10 +31,10 @@ class Frame:
 
     @classmethod
     def unpack(cls, data: bytes, channels: Sequence[ChannelInfo]) -> Self:
-        """From the wire; `channels` are those of the `Hello` before it.
+        """Decode a binary message; `channels` come from the `Hello` before it.
 
         Raises:
-            ValueError: it is no frame, or not one of these channels.
+            ValueError: the message is not a frame of these channels.
         """
         magic, kind, _, columns, rows, sequence, first_tick, newest_ms = FRAME_HEADER.unpack_from(data)
         if magic != FRAME_MAGIC or columns != len(channels):
@@ -50,7 +50,8 @@ class Frame:
         return self.columns.shape[1]
 
     def __getitem__(self, channel: str | tuple[str, str]) -> NDArray[np.float32]:
-        """
+        """Return one channel by its name, or by its name and tissue.
+
         Raises:
             KeyError: there is no such channel.
         """

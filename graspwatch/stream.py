@@ -21,11 +21,12 @@ MESSAGE: TypeAdapter[ServerMessage] = TypeAdapter(ServerMessage)
 async def messages(
     url: httpx.URL, headers: Mapping[str, str], trust: ssl.SSLContext, timeout_s: float, *, with_frames: bool
 ) -> AsyncGenerator[BaseModel | Frame, None]:
-    """
+    """Connect to the live stream at `url`, and yield its messages and frames.
+
     Raises:
-        ConnectionLostError: the service was ended, or the connection broke.
-        UnreachableError: nobody answers at `url`.
-        RefusedError: the service says why not.
+        ConnectionLostError: the service ended, or the connection broke.
+        UnreachableError: no service answers at `url`.
+        RefusedError: the service refused the connection.
     """
     hello: Hello | None = None
     async with _connect(url, headers, trust, timeout_s) as socket:
@@ -35,7 +36,7 @@ async def messages(
                     message = _parse_message(received, url)
                     hello = message if isinstance(message, Hello) else hello
                     yield message
-                elif with_frames and hello:  # frames that nobody answers stop coming
+                elif with_frames and hello:  # the service stops sending frames that are not acknowledged
                     frame = Frame.unpack(received, hello.channels)
                     await socket.send(FrameReceived(sequence=frame.sequence).model_dump_json())
                     yield frame

@@ -1,4 +1,4 @@
-"""A simulated board in a process of its own over TCP: like the real one it outlives whoever uses it."""
+"""A simulated board in its own process over TCP: like a real board it outlives the programs that use it."""
 
 import ctypes.util
 import multiprocessing
@@ -16,13 +16,13 @@ from acquisition.simulation.service import serve_tcp
 from acquisition.worker_process import RealtimePriority, freeze_garbage_collector
 from config.load import CONFIG_DIR, load_library, load_tool
 
-HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"))  # that of a real board
-REALTIME_PRIORITY = 90  # a real board is late for nobody
+HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"))  # the driver of a real board
+REALTIME_PRIORITY = 90  # a real board is never late
 BOARD_STRETCH_US = 1_000_000
 
 
 class PeakGrasper(SimulatedGrasper):
-    """Keeps the highest true jaw force, N."""
+    """A simulated grasper that keeps the highest true jaw force, N."""
 
     peak_n = 0.0
 
@@ -59,10 +59,10 @@ def _serve(tissue: str, seed: int, line: Connection) -> None:
 
 
 class ServedBoard:
-    """`tool_file` is that of a tool on a real board, reached through this one's address."""
+    """A simulated board in its own process; `tool_file` describes a real tool with this board's address."""
 
     def __init__(self, folder: Path, tissue: str = "bladder", seed: int = 1, *, measured: bool = True) -> None:
-        """`measured`: whether the tool file says that its force scale is."""
+        """Prepare the board; `measured`: whether the tool file's force scale counts as measured."""
         self._scale = "true\ndate = 2026-11-01" if measured else "false"
         context = multiprocessing.get_context("spawn")
         self._line, theirs = context.Pipe()
@@ -90,7 +90,7 @@ class ServedBoard:
         return self._line.recv()
 
     def tell(self, *question: Any) -> int:
-        """Have a method of the board or its sensors called; when that was, ns of the monotonic clock."""
+        """Call a method of the board or its sensors; return the time of the call, ns of the monotonic clock."""
         return self._ask(*question)[1]
 
     def break_now(self, fault: SensorFault) -> int:
@@ -102,18 +102,18 @@ class ServedBoard:
 
     @property
     def peak_force_n(self) -> float:
-        """Highest true jaw force so far."""
+        """Highest true jaw force so far, N."""
         return self._ask("peak_force_n")[0]
 
     def wait_for_force(self, timeout_s: float = 10.0) -> None:
-        """Until the motor is driven, in the midst of a grasp."""
+        """Wait until the motor is driven in a grasp."""
         deadline = time.monotonic() + timeout_s
         while self.output_v < 1.0:
             assert time.monotonic() < deadline, "the motor was never driven"
             time.sleep(0.005)
 
     def zero_after_ms(self, since_ns: int, timeout_s: float = 5.0) -> float:
-        """How long after `since_ns` of the monotonic clock the motor output was at zero for good, ms."""
+        """Return the time from `since_ns` of the monotonic clock until the motor output stays at zero, ms."""
         deadline = time.monotonic() + timeout_s
         while self.output_v != 0.0:
             assert time.monotonic() < deadline, f"the motor is still driven with {self.output_v} V"

@@ -1,4 +1,4 @@
-"""Work in a process that may take only so much memory more than it has."""
+"""Run work in a process with a limit on further memory."""
 
 import multiprocessing
 import resource
@@ -10,7 +10,7 @@ from config.errors import GraspwatchError
 
 
 def fault_within(extra_bytes: int, work: Callable[..., object], *arguments: Any) -> str:
-    """What a user is told when the work fails; empty: it does not. A MemoryError is no answer."""
+    """Return the user's error message of the work; empty if it succeeds. A MemoryError fails the test."""
     answers: multiprocessing.SimpleQueue[str] = multiprocessing.SimpleQueue()
     process = multiprocessing.get_context("fork").Process(
         target=_limited, args=(answers, extra_bytes, work, *arguments)

@@ -11,7 +11,7 @@ from cryptography.x509.oid import NameOID
 
 
 def self_signed(folder: Path, name: str = "graspwatch") -> tuple[Path, Path]:
-    """Certificate of this machine, signed by itself, and its key: two PEM files."""
+    """Create a self-signed certificate of this machine and its key; return the paths of both PEM files."""
     folder.mkdir(exist_ok=True)
     key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
     whose = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])

@@ -1,6 +1,6 @@
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads would only wait for each other
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would only wait for each other
 
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -14,7 +14,7 @@ from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 
 CHECKOUT = Path(__file__).parents[1]
 
-# how long an example takes depends on who else uses the machine; speed is for the benchmarks
+# an example's duration depends on other load of the machine; the benchmarks measure speed
 hypothesis.settings.register_profile("unhurried", hypothesis.settings(), deadline=None)
 hypothesis.settings.load_profile("unhurried")
 
@@ -37,7 +37,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let no test run beside one that has a page: without a GPU it takes a core, and its live tool most of another."""
+    """Run browser tests alone: without a GPU a page takes one core, and its live tool most of another."""
     for item in items:
         if item.get_closest_marker("browser"):
             item.add_marker(pytest.mark.alone)
@@ -79,7 +79,7 @@ def protocol() -> Callable[[str], GraspProtocol]:
 
 @pytest.fixture(scope="session")
 def recordings() -> list[Path]:
-    """The third-party recordings of the real tool; they are not part of this project."""
+    """Return the third-party recordings of the real tool; they are not part of this project."""
     folder = Path(os.environ.get("GRASPWATCH_RECORDINGS", CHECKOUT / "../shared/recordings")).resolve()
     found = sorted(folder.glob("*.lvm*"))
     if not found:

@@ -1,4 +1,4 @@
-"""A grasp in virtual time on a board whose sensors can be broken, with the estimator behind it."""
+"""A grasp in virtual time with acquisition and estimator, on a board whose sensors can fail."""
 
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -27,7 +27,7 @@ LEAD_IN = round(PROTOCOL.lead_in_s * RATE_HZ)
 
 
 class Moment(StrEnum):
-    """Where in a grasp something goes wrong; samples of the 2 Hz trapezoid: 125 ms up, 250 ms hold, 125 ms down."""
+    """Phase of the grasp in which a fault occurs; the 2 Hz trapezoid has 125 ms up, 250 ms hold, 125 ms down."""
 
     LEAD_IN = "lead-in"
     RAMP = "ramp"
@@ -47,7 +47,7 @@ AT = {
 
 @dataclass
 class Bench:
-    """`samples` are those that were published; `grasps` what was made of them, `labels` and `limits_n` by block."""
+    """A simulated tool with acquisition and estimator; it collects samples and grasps, labels and limits by block."""
 
     tissue: str = "bladder"
     seed: int = 1
@@ -70,7 +70,7 @@ class Bench:
         self.session = TissueEstimator(TOOL, LIBRARY, SETTINGS)
 
     def play(self, until: int | None = None) -> "Bench":
-        """Go on until that many samples were taken, or the run's end, or the board's."""
+        """Continue until `until` samples, the run's end or a board error."""
         if not self.acquisition.running and not self.samples:
             self.source.__enter__()
             self.acquisition.start("run", PROTOCOL, self.cycles)
@@ -84,7 +84,7 @@ class Bench:
         return self
 
     def rest(self, blocks: int) -> "Bench":
-        """Go on without a run."""
+        """Continue without a run."""
         for _ in range(blocks):
             self._turn()
         return self
@@ -101,6 +101,6 @@ class Bench:
 
     @property
     def zero_at(self) -> int:
-        """The sample from which on the motor command has been zero."""
+        """Index of the sample from which the motor command has been zero."""
         assert self.board.output_v == 0.0
         return self.board.output_changes[-1].sample_index if self.board.output_changes else 0

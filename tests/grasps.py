@@ -1,4 +1,4 @@
-"""Simulated grasps through the real driver and the real conditioning, for the estimator's tests."""
+"""Simulate grasps through the real driver and the real conditioning, for the estimator's tests."""
 
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ from estimator.online_estimator import TissueEstimator
 
 
 def conditioned(tool, library, settings, protocol, tissue, seed=1, cycles=1) -> tuple[np.ndarray, Specimen]:
-    """All samples of a run, and the last specimen held."""
+    """Return all samples of a run, and the last specimen held."""
     source, grasper = open_tool(tool, library, tissue, seed, virtual=True)
     blocks = []
     with source:
@@ -27,7 +27,7 @@ def conditioned(tool, library, settings, protocol, tissue, seed=1, cycles=1) -> 
 
 
 def signals(samples: np.ndarray, *, sensed: bool = True) -> tuple[ContactStart, np.ndarray]:
-    """What the bank takes of one grasp: its contact, and the samples after it, (n, 5)."""
+    """Return the filter bank's input of one grasp: its contact, and the samples after it, (n, 5)."""
     held = samples[samples["contact_tick"] >= 0]
     approach_m_per_s = 0.0 if sensed else 0.03
     contact = build_contact_start(held[0], approach_m_per_s, contact_sensed=sensed)
@@ -35,14 +35,14 @@ def signals(samples: np.ndarray, *, sensed: bool = True) -> tuple[ContactStart, 
 
 
 def by(samples: np.ndarray, size: int) -> list[int]:
-    """Where to cut samples into blocks of a size."""
+    """Return the indices that cut samples into blocks of a size."""
     return list(range(size, len(samples), size))
 
 
 def processed(
     session: TissueEstimator, samples: np.ndarray, cuts: list[int]
 ) -> tuple[list[EstimateBlock], list[GraspRecord]]:
-    """What a session answers to samples that are cut into blocks, and the records of all grasps."""
+    """Process samples, cut into blocks; return the estimate blocks and the records of all grasps."""
     blocks, last_tick = [], int(samples["tick"][0]) - 1
     for sequence, (begin, end) in enumerate(pairwise([0, *cuts, len(samples)])):
         part = samples[begin:end]

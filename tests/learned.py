@@ -1,4 +1,4 @@
-"""Libraries learned from simulated or real recordings, for the tests of learning."""
+"""Learn libraries from simulated or real recordings, for the tests of learning."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,12 +14,12 @@ from estimator.learning.recorded_grasps import LabeledRecording, estimate_usual_
 def gathered(
     files: dict[str, list[Path]], tool: Tool, base: TissueLibrary, settings: Settings
 ) -> list[LabeledRecording]:
-    """The recordings of these files."""
+    """Load the labeled recordings of these files."""
     return load_training_set(files, tool, base, settings, 2, lambda _: None).recordings
 
 
 def learner(tool: Tool, base: TissueLibrary) -> Callable[[Sequence[LabeledRecording]], TissueLibrary]:
-    """What makes a library of recordings."""
+    """Return a function that learns a library from recordings."""
 
     def learn(recordings: Sequence[LabeledRecording]) -> TissueLibrary:
         peak_v = estimate_usual_peak_v(list(recordings))
@@ -39,8 +39,10 @@ def pressed(
     rest_v: float = 0.82,
     offset_deg: float = 0.0,
 ) -> np.ndarray:
-    """A grasp by hand: jaws travel at a steady pace and are shut after `gap_deg`, while tissue of a `stiffness`
-    (V at 10 deg before) resists as an exponential; dtype SAMPLE."""
+    """Construct a grasp, dtype SAMPLE: the jaws travel steadily and shut after `gap_deg`.
+
+    The tissue resists exponentially with the travel; `stiffness` is its strain voltage 10 deg before jaw closure, V.
+    """
     from acquisition.sample_block import SAMPLE_DTYPE
 
     travel = np.concatenate([np.linspace(0, gap_deg, 300), np.full(200, gap_deg)])

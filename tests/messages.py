@@ -25,7 +25,7 @@ def at(second: float) -> str:
 
 
 def run(number: int = 1, **facts: Any) -> Run:
-    """Run `number` begins `number` minutes after `BEGIN`; it is over when `state` says so."""
+    """Return run `number`, which begins `number` minutes after `BEGIN` and is over unless `state` is running."""
     state = facts.setdefault("state", RunState.RUNNING)
     over = state is not RunState.RUNNING
     started = 60.0 * number

@@ -1,4 +1,4 @@
-"""Recordings as earlier versions wrote them."""
+"""Rewrite recordings into the format of earlier versions."""
 
 import json
 from collections.abc import Callable
@@ -19,9 +19,9 @@ RAW_BEFORE = RowLayout(
 def without_limit(
     source: Path, target: Path, change_tool: Callable[[dict[str, Any]], None] = lambda tool: None
 ) -> Path:
-    """A run's file as it was written before the limiter said in every sample what it enforces.
+    """Copy a run's file to the format without the limit in every sample.
 
-    `change_tool` makes of the tool file in it one of that time.
+    `change_tool` converts its tool file to one of that time.
     """
     with source.open("rb") as read, target.open("wb") as write:
         reader, writer = make_reader(read), Writer(write)

@@ -1,4 +1,4 @@
-"""People with tokens, for tests of a service that asks for them."""
+"""People with tokens, for tests of a service that requires them."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ NAMES = {Role.VIEWER: "Vera", Role.OPERATOR: "Otto", Role.ADMIN: "Ada"}
 
 
 def give_tokens(data: Path) -> dict[Role, str]:
-    """One for each role."""
+    """Add a person with a token for each role; return the tokens."""
     return {role: tokens.add_token(data, name, role) for role, name in NAMES.items()}
 
 
@@ -20,7 +20,7 @@ def bearer(token: str) -> dict[str, str]:
 
 
 def config_with(folder: Path, **changes: float) -> Path:
-    """The shipped settings with other values of keys that are in it."""
+    """Write the shipped settings with other values of existing keys; return the path."""
     text = (CONFIG_DIR / "graspwatch.toml").read_text()
     for key, value in changes.items():
         text, count = re.subn(rf"^{key} = [\d._]+", f"{key} = {value}", text, flags=re.MULTILINE)
@@ -30,7 +30,7 @@ def config_with(folder: Path, **changes: float) -> Path:
     return path
 
 
-# Whom each route is open to: written down a second time, so that nobody opens one by mistake. None: to strangers too.
+# Least role for each route, stated a second time, so that no change opens one by mistake. None: open without a token.
 RIGHTS: dict[tuple[str, str], Role | None] = {
     ("GET", "/api/health"): None,
     ("GET", "/api/session"): None,

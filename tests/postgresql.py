@@ -1,4 +1,4 @@
-"""A real PostgreSQL server from Debian's package, for tests: in a temporary folder, on a socket of its own."""
+"""A real PostgreSQL server from Debian's package, for tests, in a temporary folder on its own socket."""
 
 import os
 import pwd
@@ -12,19 +12,19 @@ from pathlib import Path
 import psycopg
 import pytest
 
-PORT = 54329  # of no network: it only names the socket
-OWNER = "postgres"  # Debian's; the server refuses to run as root
+PORT = 54329  # not a network port: it only names the socket
+OWNER = "postgres"  # Debian's user; the server refuses to run as root
 
 
 def programs() -> Path | None:
-    """The newest server's programs."""
+    """Return the folder of the newest server's programs; None if no server is installed."""
     found = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda path: float(path.parent.name))
     return found[-1] if found else None
 
 
 @contextmanager
 def server() -> Iterator[str]:
-    """A running server: its address without a database. Skips where the package is not installed; fails so in CI."""
+    """Run a server; yield its address without a database. Without the package, skip the test, or fail it in CI."""
     binaries = programs()
     if binaries is None:
         if os.environ.get("CI") == "true":
@@ -77,7 +77,7 @@ def _run(folder: Path, *command: str | Path) -> None:
 
 
 def make_database(address: str, name: str) -> str:
-    """A new empty database; gives its whole address."""
+    """Create an empty database; return its whole address."""
     with psycopg.connect(address.format("postgres"), autocommit=True) as connection:
         connection.execute(f"CREATE DATABASE {name}")
     return address.format(name)

@@ -1,4 +1,4 @@
-"""Between a client and the service: a line that can be cut and mended, and an HTTP proxy."""
+"""Intermediaries between a client and the service: a line that can be cut and restored, and an HTTP proxy."""
 
 import socket
 import threading
@@ -7,7 +7,7 @@ from typing import Self
 
 
 class Line:
-    """Forwards a free port of this machine to `port`."""
+    """A TCP forwarder from a free port of this machine to `port`."""
 
     def __init__(self, port: int) -> None:
         self._target = port
@@ -27,12 +27,12 @@ class Line:
         self._listener.close()
 
     def cut(self) -> None:
-        """End every connection, and take no new one until it is mended."""
+        """End every connection, and refuse new ones until `mend`."""
         self._whole = False
         for end in self._ends:
             try:
                 end.shutdown(socket.SHUT_RDWR)
-            except OSError:  # it has ended by itself
+            except OSError:  # already closed
                 end.close()
         self._ends.clear()
 
@@ -55,7 +55,7 @@ class Line:
 
 
 class HttpProxy:
-    """An HTTP proxy that leads every address to `port` of this machine; keeps the first line of what it was asked."""
+    """An HTTP proxy that leads every address to `port` of this machine; it keeps the first line of every request."""
 
     def __init__(self, port: int) -> None:
         self._target = port
@@ -85,7 +85,7 @@ class HttpProxy:
         self.asked.append(head.partition(b"\r\n")[0].decode("latin-1"))
         try:
             far = socket.create_connection(("127.0.0.1", self._target))
-        except OSError:  # nobody is there any more
+        except OSError:  # the service has ended
             near.close()
             return
         if head.startswith(b"CONNECT "):

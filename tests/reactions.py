@@ -1,4 +1,4 @@
-"""Reaction times that tests have measured, and how the tests ended, kept for docs/safety.md where that is asked for."""
+"""Record measured reaction times and outcomes of tests for docs/safety.md, if `--reactions` names a file."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -16,7 +16,7 @@ class Reaction:
 
 
 class Reactions:
-    """What one test measured."""
+    """Recorder of one test's reaction times and outcomes."""
 
     def __init__(self, test: str, path: Path | None) -> None:
         self._test, self._path = test, path
@@ -25,7 +25,7 @@ class Reactions:
         self._note(asdict(Reaction(str(fault), str(moment), measured_ms, floor_ms, self._test)))
 
     def outcome(self, passed: bool) -> None:
-        """Of one case of the test."""
+        """Record the outcome of one case of the test."""
         self._note({"test": self._test, "passed": passed})
 
     def _note(self, found: dict[str, Any]) -> None:

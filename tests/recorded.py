@@ -1,4 +1,4 @@
-"""A data folder whose recordings are of a kind that only these tests know: a line of JSON for each message."""
+"""Recordings in a format for these tests only: one line of JSON for each message."""
 
 import json
 from collections.abc import Iterable, Iterator

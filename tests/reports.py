@@ -1,4 +1,4 @@
-"""Grasps and stories for the report's tests."""
+"""Grasps and analyzed recordings for the report's tests."""
 
 from functools import lru_cache
 from typing import Any
@@ -13,7 +13,7 @@ from estimator.estimate_block import GraspRecord
 
 
 def record(**changes: Any) -> GraspRecord:
-    """A valid grasp of liver; `convergence_s` and `force_error_n` are of all its filters."""
+    """Return a valid grasp of liver; `convergence_s` and `force_error_n` apply to all of its filters."""
     each = {name: changes.pop(name, value) for name, value in (("convergence_s", 0.1), ("force_error_n", 0.0))}
     told = {
         "index": 1,
@@ -49,7 +49,7 @@ def observed(
 
 @lru_cache
 def simulated_story(tissue: str, cycles: int = 3, protocol: str = "trapezoid_2hz", seed: int = 1) -> AnalyzedRecording:
-    """A run of the simulated grasper as a story."""
+    """Simulate a run and return it as an analyzed recording."""
     tool, settings = load_tool("simulated"), load_settings()
     blocks, pipeline = simulate_raw(tissue, protocol, seed, cycles), ConditioningPipeline(tool, settings.conditioning)
     samples = sum(len(block) for block in blocks)

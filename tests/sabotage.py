@@ -1,10 +1,10 @@
-"""Ways in which a worker is lost: signals, some of which only a saboteur inside it understands."""
+"""Ways to lose a worker: signals, some of which only a saboteur module inside the worker handles."""
 
 import signal
 from pathlib import Path
 
 SABOTEUR = Path(__file__).parent / "faults/live/saboteur"
-"""To be put into PYTHONPATH of a service."""
+"""Folder for a service's PYTHONPATH."""
 SIGNALS = {
     "kill -9": signal.SIGKILL,
     "hangs": signal.SIGRTMIN + 2,

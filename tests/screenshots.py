@@ -1,4 +1,4 @@
-"""`make screenshots`: the dashboard in each of its states, into docs/screenshots/; look at them afterwards."""
+"""`make screenshots`: take pictures of the dashboard in each state into docs/screenshots/, for a look afterwards."""
 
 import json
 import os
@@ -44,7 +44,7 @@ IN_CONTACT = "(document.querySelector('#tissue[data-past=false] .answer-facts')?
 
 
 class Studio:
-    """Takes pictures of one service."""
+    """Pictures of one service's dashboard."""
 
     def __init__(self, browser: Browser, service: Service) -> None:
         self._browser, self._service = browser, service
@@ -59,7 +59,7 @@ class Studio:
         explained: bool = True,
         url: str | None = None,
     ) -> Iterator[Page]:
-        """A page whose explanations have been read, unless it is not `explained` yet."""
+        """Open a page; with `explained` its first-visit explanations count as read."""
         viewport = {"width": size[0], "height": size[1]}
         # waiting for a state evaluates a text, which the page's policy forbids
         context = self._browser.new_context(viewport=viewport, color_scheme=theme, bypass_csp=True)
@@ -95,7 +95,7 @@ class Studio:
             shoot(page, "unknown")
 
     def undecided(self) -> None:
-        """Liver and small bowel overlap: some specimen keeps it waiting."""
+        """Take a picture of an undecided grasp. Liver and small bowel overlap, so some specimen stays undecided."""
         with self.page() as page:
             self.run("small_bowel", cycles=20)
             undecided = f"/likeliest/.test({IN_CONTACT})"
@@ -103,7 +103,7 @@ class Studio:
                 page.wait_for_function(undecided, timeout=60_000)
                 page.wait_for_timeout(400)
                 shoot(page, "undecided")
-                if page.evaluate(undecided):  # it was so all the time
+                if page.evaluate(undecided):  # still undecided after the picture
                     return
 
     def warning(self) -> None:
@@ -154,7 +154,7 @@ def shoot(page: Page, name: str) -> None:
 
 
 def alarm(browser: Browser) -> None:
-    """The limiter holds the force at 80 % of the threshold: in this service the high warning begins below that."""
+    """Take a picture of a high force alarm; in this service it begins below the limiter's 80 % of the threshold."""
     text = (CONFIG_DIR / "graspwatch.toml").read_text()
     for level, share in {"low": 0.5, "medium": 0.65, "high": 0.75}.items():
         text = re.sub(rf"(?m)^{level} = [0-9.]+", f"{level} = {share}", text)

@@ -1,4 +1,4 @@
-"""Scripts of the checkout that are in no package, as modules."""
+"""Load scripts outside any package as modules."""
 
 import importlib.util
 from pathlib import Path

@@ -25,7 +25,11 @@ PROGRAM = Path(sys.executable).with_name("graspwatch")
 
 
 def until(condition: Callable[[], Any], timeout_s: float = 30.0) -> Any:
-    """The first true value of `condition`; fails when there is none in time."""
+    """Return the first true value of `condition`.
+
+    Raises:
+        AssertionError: no true value within `timeout_s`.
+    """
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         if value := condition():
@@ -35,9 +39,9 @@ def until(condition: Callable[[], Any], timeout_s: float = 30.0) -> Any:
 
 
 class Service:
-    """`graspwatch serve` (or `replay --serve`) on a free port with a data folder of its own, ended with the block.
+    """`graspwatch serve` (or `replay --serve`) on a free port with its own data folder, until the `with` block ends.
 
-    With `--tls-cert` the client trusts what `trust` does.
+    `trust` is for a service with `--tls-cert`.
     """
 
     def __init__(
@@ -47,7 +51,7 @@ class Service:
         trust: ssl.SSLContext | None = None,
         within: tuple[str, ...] = (),
     ) -> None:
-        """`within` is a command that runs the program, such as `unshare`."""
+        """Prepare the service; `within` is a command that runs the program, such as `unshare`."""
         self._arguments, self._within = arguments or ("serve",), within
         self._trust = trust
         self._folder = tempfile.TemporaryDirectory(prefix="graspwatch-data-")
@@ -93,18 +97,18 @@ class Service:
             return False
 
     def end(self) -> int:
-        """SIGTERM; its exit code."""
+        """Send SIGTERM and return the exit code."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
         return self.process.wait(15)
 
     def worker(self, name: str) -> int:
-        """Process id of a worker, waited for if it is just being started."""
+        """Return a worker's process id; wait until it has started."""
 
         def found() -> int | None:
             children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
             for pid in children:
-                with contextlib.suppress(OSError):  # it ended meanwhile
+                with contextlib.suppress(OSError):  # the process has ended
                     if Path(f"/proc/{pid}/comm").read_text().strip() == name:
                         return int(pid)
             return None
@@ -112,7 +116,7 @@ class Service:
         return until(found)
 
     def conditions(self) -> dict[str, str]:
-        """How each worker is."""
+        """Return the condition of each worker."""
         return self.http.get("/api/health").json()["workers"]
 
     def run(self, **body: Any) -> dict[str, Any]:
@@ -121,7 +125,7 @@ class Service:
         return response.json()
 
     def acknowledge_fault(self) -> str:
-        """Acknowledge the latched fault; its text."""
+        """Acknowledge the latched fault and return its text."""
         [alarm] = [alarm for alarm in self.http.get("/api/alarms").json() if alarm["id"].startswith("fault-")]
         seen = {"by": "a test", "priority": alarm["priority"]}
         response = self.http.post(f"/api/alarms/{alarm['id']}/acknowledge", json=seen)
@@ -137,7 +141,7 @@ class Service:
 
 
 class Listener:
-    """A program on `/api/live`, or on a replay: collects messages, and frames as header and columns."""
+    """A client of `/api/live` or a replay that collects messages, and frames as header and columns."""
 
     def __init__(self, service: Service, path: str = "/api/live") -> None:
         self._connection = connect(f"ws://127.0.0.1:{service.port}{path}", max_size=None, close_timeout=0.5)
@@ -152,7 +156,7 @@ class Listener:
         self._connection.__exit__(None, None, None)
 
     def listen(self, done: Callable[[], Any], timeout_s: float = 20.0, answer: bool = True) -> float:
-        """Read until `done()`; returns how long it took, s."""
+        """Read until `done()` is true; return the elapsed time, s."""
         begin = time.monotonic()
         while not done():
             if time.monotonic() - begin > timeout_s:

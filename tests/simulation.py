@@ -24,7 +24,7 @@ def simulate_raw(
     cycles: int = 1,
     tool: Tool | None = None,
 ) -> list[RawBlock]:
-    """Blocks that the tool gives while a protocol is played on specimens of `tissue`, the last rest included."""
+    """Return the raw blocks of a protocol on specimens of `tissue`, including the last rest."""
     tool = tool or load_tool("simulated")
     played = load_protocol(protocol) if isinstance(protocol, str) else protocol
     player = ProtocolPlayer(played, tool, cycles)
@@ -36,7 +36,7 @@ def simulate_raw(
 
 
 class WatchedGrasper(SimulatedGrasper):
-    """Keeps the true jaw force of every sample, N."""
+    """A simulated grasper that keeps the true jaw force of every sample, N."""
 
     def __init__(self, *args, **options) -> None:
         super().__init__(*args, **options)
@@ -49,20 +49,20 @@ class WatchedGrasper(SimulatedGrasper):
 
 
 def drive(grasper: SimulatedGrasper, commands_v: Iterable[float]) -> RawBlock:
-    """One block with a sample for each command, read back without noise."""
+    """Return one block with a sample for each command; the read-back has no noise."""
     commands = np.array(list(commands_v), float)
     strain_v, encoder_deg, touch_1_v, touch_2_v = np.array([grasper.step(float(command)) for command in commands]).T
     return raw_block(strain_v, encoder_deg, commands, touch_1_v, touch_2_v)
 
 
 def raw_block(strain_v, encoder_deg=0.0, motor_command_v=0.0, touch_1_v=0.0, touch_2_v=0.0) -> RawBlock:
-    """A block that begins at tick 0; numbers stand for constant signals."""
+    """Return a block that begins at tick 0; a number becomes a constant signal."""
     signals = np.broadcast_arrays(strain_v, encoder_deg, motor_command_v, touch_1_v, touch_2_v)
     return RawBlock(0, 0, *(np.array(signal, float) for signal in signals))
 
 
 def joined(blocks: Iterable[RawBlock]) -> RawBlock:
-    """One block of consecutive ones."""
+    """Join consecutive blocks into one."""
     blocks = list(blocks)
     return RawBlock(
         blocks[0].first_tick,
@@ -72,7 +72,7 @@ def joined(blocks: Iterable[RawBlock]) -> RawBlock:
 
 
 def cut(raw: RawBlock, at: Iterable[int]) -> list[RawBlock]:
-    """The same samples as several blocks, cut before the given indices."""
+    """Cut a block before the given indices."""
     edges = [0, *sorted(index for index in {*at} if 0 < index < len(raw)), len(raw)]
     return [
         RawBlock(raw.first_tick + begin, 0, *(getattr(raw, name)[begin:end] for name in SIGNALS))
@@ -81,7 +81,7 @@ def cut(raw: RawBlock, at: Iterable[int]) -> list[RawBlock]:
 
 
 def lvm_text(raw: RawBlock, columns: tuple[str, ...] = LVM_COLUMNS) -> str:
-    """The samples as the lab's LabVIEW program logs them: two headers, then tab-separated columns."""
+    """Format samples as the lab's LabVIEW program logs them: two headers, then tab-separated columns."""
     n, per_channel = len(columns), "\t" * len(columns)
     stamp, date = "10:00:00.0000000000000000000", "2026/11/22"
 
@@ -123,7 +123,7 @@ def lvm_text(raw: RawBlock, columns: tuple[str, ...] = LVM_COLUMNS) -> str:
 
 
 def write_lvm(path: Path, raw: RawBlock) -> Path:
-    """Write the samples as a recording; a path that ends in `.gz` is compressed."""
+    """Write the samples as a LabVIEW recording, compressed if the path ends in `.gz`; return the path."""
     content = lvm_text(raw).encode()
     path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
     return path

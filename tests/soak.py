@@ -50,13 +50,13 @@ STRIKES_A_SERVICE = 3  # a worker may die only three times a minute
 WORKER_MS, HOG_MS, STOP_MS, SIGTERM_S = 100.0, 2000.0, 500.0, 2.0
 SILENT_SERVER_MS = 1200.0  # `server_silence_s`, and 0.2 s
 LIVE_SIGNAL_MS, ENCODER_MS = 20.0, 1500.0
-"""A lost signal takes 15 ms on the board's clock; the rest is for TCP and a machine that does other things. An encoder
-that is stuck shows at the next grasp at the latest."""
-CLOSED_S = 12.0  # a recorder that hangs is given up after ten seconds
+"""A lost signal takes 15 ms on the board's clock; the rest is a margin for TCP and other load. A stuck encoder shows at
+the next grasp at the latest."""
+CLOSED_S = 12.0  # the service gives up on a hanging recorder after ten seconds
 
 
 class Then(Enum):
-    """What has to come of it."""
+    """Required outcome of a strike."""
 
     FAULT = "zero, latched"
     GOES_ON = "goes on"
@@ -66,7 +66,7 @@ class Then(Enum):
 
 @dataclass(frozen=True)
 class Strike:
-    """`hit` does it, and returns when, ns of the monotonic clock; `within_ms` is for the motor."""
+    """A fault. `hit` injects it and returns the time, ns of the monotonic clock; `within_ms` is for the motor."""
 
     hit: Callable[[Service, ServedBoard], int]
     then: Then
@@ -87,7 +87,7 @@ def tell(*question: object) -> Callable[[Service, ServedBoard], int]:
 
 
 def crowd(service: Service, board: ServedBoard) -> int:
-    """Requests for two seconds, good and bad, beside viewers that never read."""
+    """Send good and bad requests for two seconds, beside viewers that never read."""
 
     def ask(number: int) -> None:
         with httpx.Client(base_url=service.url, timeout=30.0) as client:
@@ -109,7 +109,7 @@ def crowd(service: Service, board: ServedBoard) -> int:
 
 @contextlib.contextmanager
 def busy(programs: int) -> Iterator[None]:
-    """So many programs that compute without end, meanwhile."""
+    """Run so many programs that compute without end."""
     running = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(programs)]
     try:
         yield
@@ -145,7 +145,7 @@ def stop(service: Service, board: ServedBoard) -> int:
 
 
 def strikes() -> dict[str, Strike]:
-    """All that can happen, by name."""
+    """Return all strikes by name."""
     found: dict[str, Strike] = {}
     for how, number in SIGNALS.items():
         within_ms = HOG_MS if how == "memory hog" else WORKER_MS
@@ -176,12 +176,12 @@ def strikes() -> dict[str, Strike]:
 
 
 class Soak:
-    """One service after another, struck until the time is over."""
+    """The soak: one service after another, with faults until the time is over."""
 
     def __init__(self, seed: int, board: ServedBoard) -> None:
         self._chance, self._board = random.Random(seed), board
         self._strikes = strikes()
-        self._left: list[str] = []  # of this round: all happen before one happens again
+        self._left: list[str] = []  # of this round: each strike happens once before any repeats
         self.struck: Counter[str] = Counter()
         self.worst_ms: Counter[str] = Counter()
         self.labels: Counter[str] = Counter()
@@ -193,7 +193,7 @@ class Soak:
             print(f"VIOLATION: {text}", file=sys.stderr, flush=True)
 
     def serve(self, until_s: float) -> None:
-        """One service for a few faults."""
+        """Run one service with a few faults, and check its recordings and its end."""
         with Service("serve", "--tool", str(self._board.tool_file)) as service:
             for _ in range(STRIKES_A_SERVICE):
                 if time.monotonic() < until_s:
@@ -210,7 +210,7 @@ class Soak:
             self.check(self._board.output_v == 0.0, "the motor is driven after SIGTERM")
 
     def undisturbed(self, until_s: float) -> None:
-        """One service, run after run: none ends before its protocol."""
+        """Run one service without faults, and check that every run finishes its protocol."""
         with Service("serve", "--tool", str(self._board.tool_file)) as service:
             while time.monotonic() < until_s:
                 run = service.finished(service.run(**UNDISTURBED)["id"], 120.0)
@@ -230,7 +230,7 @@ class Soak:
         self._board.wait_for_force()
         time.sleep(self._chance.uniform(0.0, 2.0))
         if strike.within_ms and strike.then is not Then.STOPPED:
-            self._board.wait_for_force()  # what is hit at rest is told at rest, and shows no reaction
+            self._board.wait_for_force()  # a fault at rest is detected at rest, without a reaction of the motor
         since_ns = strike.hit(service, self._board)
         self.struck[name] += 1
         if strike.then in (Then.FAULT, Then.STOPPED):
@@ -292,7 +292,7 @@ class Soak:
 
 
 def _recent_log(service: Service) -> str:
-    """The last lines of the service's log, to explain a violation."""
+    """Return the last lines of the service's log, to explain a violation."""
     return "\n".join((service.data / "logs" / "graspwatch.jsonl").read_text(encoding="utf-8").splitlines()[-25:])
 
 

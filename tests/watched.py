@@ -1,4 +1,4 @@
-"""A page of the dashboard as a person sees it."""
+"""A page of the dashboard in a real browser."""
 
 from playwright.sync_api import expect
 
@@ -7,7 +7,7 @@ SIZES = [(1920, 1080), (1280, 800), (800, 1280), (390, 844)]
 
 
 class Watched:
-    """A person's page, with a browser profile of its own: what it complained about, what it fetched, what one does."""
+    """A page with its own browser profile. It collects warnings, errors and requests."""
 
     def __init__(self, browser, url, width=1280, height=800, theme="dark"):
         self.context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme)
@@ -23,7 +23,7 @@ class Watched:
         return self.page.get_by_test_id(name)
 
     def start(self, protocol="trapezoid_025hz", cycles=3, tissue="bladder"):
-        expect(self.at("protocol").locator("option")).not_to_have_count(0)  # the page has learned what there is
+        expect(self.at("protocol").locator("option")).not_to_have_count(0)  # the protocols are loaded
         self.at("protocol").select_option(protocol)
         self.at("cycles").fill(str(cycles))
         self.at("tissue-select").select_option(tissue)
@@ -31,5 +31,5 @@ class Watched:
         expect(self.at("run-message")).to_contain_text("Started")
 
     def overflow(self):
-        """How many pixels the page is wider than the screen."""
+        """Return by how many pixels the page is wider than the screen."""
         return self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")

@@ -1,1 +1,1 @@
-"""Other estimators for the same task, to measure ours against: the paper's own, an unscented and a particle filter."""
+"""Other estimators for comparison with the bank: the paper's filter, an unscented filter and a particle filter."""

@@ -1,7 +1,7 @@
-"""The same bank on filterpy: slow, independent, for checking the compiled one.
+"""The same bank on filterpy: a slow, independent reference for tests of the compiled bank.
 
-Shared with it are only the constants, the order of the states and the start of a grasp; the discretisation (scipy's
-matrix exponential of the whole linearised system) and the filter equations (filterpy's) are others.
+Both share only the constants, the order of the states and the start of a grasp. The reference discretizes the whole
+linearized system with scipy's matrix exponential and uses filterpy's filter equations.
 """
 
 from copy import deepcopy
@@ -35,14 +35,12 @@ from estimator.kalman_filter import (
     X,
 )
 
-NEXT_STRAIN, FORCE, ONE = range(
-    STATE_COUNT, STATE_COUNT + 3
-)  # of the augmented system: strain noise of the sample to come,
-# force between the samples, constant
+# further states of the augmented system: strain noise of the next sample, force between the samples, constant
+NEXT_STRAIN, FORCE, ONE = range(STATE_COUNT, STATE_COUNT + 3)
 
 
 class ReferenceFilter(ExtendedKalmanFilter):
-    """One filter. Samples are [force N, displacement m, and what a volt of strain noise does to each]."""
+    """One filter. Samples, (5,): force N, displacement m, change of each per volt of strain noise, elapsed time s."""
 
     def __init__(self, mean: np.ndarray, cov: np.ndarray, noise: FilterNoise, guess: np.ndarray) -> None:
         super().__init__(dim_x=STATE_COUNT, dim_z=1)
@@ -54,7 +52,10 @@ class ReferenceFilter(ExtendedKalmanFilter):
     def process_sample(
         self, before: np.ndarray, sample: np.ndarray, is_rising: bool, linearization_point: np.ndarray | None = None
     ) -> None:
-        """Predict from the sample `before`, (5,), to `sample`, (5,), linearised `about` log parameters, and correct."""
+        """Predict from the sample `before`, (5,), to `sample`, (5,), and correct.
+
+        `linearization_point`: log alpha, beta, d and m, (4,); None for the present estimate.
+        """
         self._linearize(
             before,
             sample,
@@ -67,7 +68,7 @@ class ReferenceFilter(ExtendedKalmanFilter):
         self.x = self._predicted
 
     def _linearize(self, before: np.ndarray, sample: np.ndarray, linearization_point: np.ndarray) -> None:
-        """Transition, noise and predicted mean of a step: the whole system of deviations, exponentiated at once."""
+        """Compute a step's transition, noise and predicted mean from one matrix exponential of the whole system."""
         noise, dt_s, state = self._noise, float(sample[4]), self.x[:, 0]
         alpha, beta, damping, mass = np.exp(linearization_point)
         bent = np.exp(min(beta * max(state[X], 0.0), EXPONENT_LIMIT))
@@ -102,7 +103,7 @@ class ReferenceFilter(ExtendedKalmanFilter):
         self.Q += block_diag(np.zeros((2, 2)), np.diag(walk), np.zeros((2, 2)), drift, 0.0)
 
     def _correct(self, sample: np.ndarray, learns_parameters: bool) -> None:
-        """Measurement update, and its log-likelihood; where it does not learn, the parameters' gain is zero."""
+        """Do the measurement update and add its log-likelihood; the parameters' gain is zero if they do not learn."""
         row = np.zeros((1, STATE_COUNT))
         row[0, [X, OFFSET, STRAIN_NOISE]] = 1.0, 1.0, sample[3]
         variance = float((row @ self.P @ row.T + self.R)[0, 0])
@@ -131,7 +132,7 @@ class ReferenceFilter(ExtendedKalmanFilter):
 
 
 class ReferenceBank:
-    """All K filters of a started `Bank`, on filterpy; `rising`: whether the force did at each of `samples`."""
+    """All K filters of a started `FilterBank`, on filterpy."""
 
     def __init__(self, started: FilterBank) -> None:
         tissues = len(started.priors.names)
@@ -143,7 +144,7 @@ class ReferenceBank:
         self._initial_filters = deepcopy(self.filters)
 
     def advance(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Means and variances of all filters after each of `samples`, (n, 5): (n, K, 9) each; NaN once diverged."""
+        """Process `samples`, (n, 5); return means and variances of all filters, (n, K, 9) each; NaN once diverged."""
         shape = (len(samples), len(self.filters), STATE_COUNT)
         means, variances = np.full(shape, np.nan), np.full(shape, np.nan)
         for i, sample in enumerate(samples):
@@ -166,7 +167,7 @@ class ReferenceBank:
         return bool(change > max(MIN_RISE_N, MIN_RISE_SHARE * force[-1]))
 
     def _repeat_pass(self, k: int) -> ReferenceFilter:
-        """Filter k after another pass over the whole grasp, unless it diverges in it."""
+        """Return filter k after another pass over the whole grasp; the present filter if that pass diverges."""
         again, about = deepcopy(self._initial_filters[k]), self.filters[k].x[PARAMETERS_AND_MASS, 0].copy()
         for i in range(1, len(self.processed_samples)):
             again.process_sample(self.processed_samples[i - 1], self.processed_samples[i], self.rising_flags[i], about)

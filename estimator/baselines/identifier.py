@@ -1,4 +1,4 @@
-"""What every estimator of a grasp's tissue can do, ours and its rivals; and ours, as one."""
+"""The interface that the bank and its baselines share, and the bank with this interface."""
 
 from typing import Protocol
 
@@ -11,27 +11,27 @@ from estimator.kalman_filter import PARAMETERS
 
 
 class TissueIdentifier(Protocol):
-    """Follows one grasp from contact on."""
+    """Estimator of one grasp's tissue, from contact on."""
 
     def start(self, first: np.void, contact: ContactStart) -> None:
         """Begin at the first sample in contact (dtype SAMPLE)."""
         ...
 
     def advance(self, samples: np.ndarray) -> None:
-        """Take the following samples (dtype SAMPLE)."""
+        """Process the following samples (dtype SAMPLE)."""
         ...
 
     def probabilities(self) -> np.ndarray:
-        """Probabilities of the library's tissues and of unknown, (M + 1,)."""
+        """Return the probabilities of the library's tissues and of `unknown`, (M + 1,)."""
         ...
 
     def log_parameters(self) -> np.ndarray:
-        """log alpha, log beta, log d as believed now, (3,); NaN where nothing is believed."""
+        """Return the present estimate of log alpha, log beta, log d, (3,); NaN without an estimate."""
         ...
 
 
 class BankIdentifier:
-    """Our own scheme: the bank, and the evidence drawn from it."""
+    """Graspwatch's own estimator: the bank and its evidence."""
 
     def __init__(self, bank: FilterBank, evidence: BankEvidence, dt_s: float) -> None:
         self.bank, self._evidence, self._dt_s = bank, evidence, dt_s
@@ -39,7 +39,7 @@ class BankIdentifier:
 
     @classmethod
     def from_tool(cls, tool: Tool, library: TissueLibrary, settings: IdentificationSettings) -> "BankIdentifier":
-        """For a library's tissues on a tool."""
+        """Create the bank for a library's tissues on a tool."""
         bank = FilterBank.from_tool(tool, library)
         return cls(bank, BankEvidence(bank, library, settings), 1.0 / tool.board.sample_rate_hz)
 

@@ -1,8 +1,8 @@
-"""The paper's own filter, Eqs. (9) to (20), mended only where it cannot work as printed.
+"""The paper's own filter, Eqs. (9) to (20), corrected only where it cannot work as printed.
 
-Mended: the missing terms of the Jacobian (10); the unstable Euler step (19), replaced by the exact local step; (10) and
-(11) brought to five states. As printed: linear parameters, the measured force of the sample before as input, a diagonal
-process noise that enters through G, displacement as the only measurement, the 10 Hz Butterworth signals as input.
+Corrected: the missing terms of the Jacobian (10); the unstable Euler step (19), replaced by the exact local step; (10)
+and (11) extended to five states. As printed: linear parameters, the previous sample's measured force as input, a
+diagonal process noise that enters through G, displacement as the only measurement, 10 Hz Butterworth signals.
 """
 
 import math
@@ -20,11 +20,11 @@ from estimator.tissue_model import elastic_force, force_curve, step_matrices, ta
 STATE_COUNT = 5
 X, V, ALPHA, BETA, DAMPING = range(STATE_COUNT)
 
-# P0 and Qw are not stated in the paper; these make Tables III and IV come out as printed from close guesses.
-GUESS_SHARE_SD = np.array([0.25, 0.10, 0.30])  # of the guesses: the library's spreads
+# The paper does not state P0 and Qw; these reproduce Tables III and IV as printed from close guesses.
+GUESS_SHARE_SD = np.array([0.25, 0.10, 0.30])  # share of the guesses: the library's spreads
 VELOCITY_SD_M_PER_S = 0.05
-RANDOM_WALK_SHARE = np.array([1e-3, 1e-3, 1e-2])  # of the guesses, a square root of a second
-FILTERED_NOISE_SHARE = 0.15  # share of white noise that the 10 Hz low-pass lets through: sqrt(2 * 11 Hz / 1000 Hz)
+RANDOM_WALK_SHARE = np.array([1e-3, 1e-3, 1e-2])  # share of the guesses per square root of a second
+FILTERED_NOISE_SHARE = 0.15  # share of white noise after the 10 Hz low-pass: sqrt(2 * 11 Hz / 1000 Hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class PaperNoise:
 
 
 class PaperFilterBank:
-    """One of the paper's filters for each guess, on the same force and displacement."""
+    """Bank of the paper's filters, one for each initial guess, on the same force and displacement."""
 
     def __init__(
         self,
@@ -46,13 +46,13 @@ class PaperFilterBank:
         noise: PaperNoise,
         guess_share_sd: np.ndarray = GUESS_SHARE_SD,
     ) -> None:
-        """`guess`: alpha N, beta 1/m, d kg/s of each filter, (K, 3); `guess_share_sd`: how far off, as a share."""
+        """Create K filters; `guess`: alpha N, beta 1/m, d kg/s, (K, 3); `guess_share_sd`: its SD as a share, (3,)."""
         self._guess, self._mass_kg, self._dt_s, self._noise = np.asarray(guess, float), mass_kg, dt_s, noise
         self._guess_share_sd = guess_share_sd
         self.start(0.0)
 
     def start(self, force_n: float, velocity_m_per_s: float = 0.0) -> None:
-        """Begin at contact, under the force measured there."""
+        """Begin at contact, with the force and velocity there."""
         k = len(self._guess)
         self.mean, self.cov = np.zeros((k, STATE_COUNT)), np.zeros((k, STATE_COUNT, STATE_COUNT))
         self.mean[:, V], self.mean[:, ALPHA:] = velocity_m_per_s, self._guess
@@ -63,7 +63,7 @@ class PaperFilterBank:
         self._previous_force_n = np.array([force_n])
 
     def advance(self, force_n: np.ndarray, displacement_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Take the following samples, (n,) each; means, (n, K, 5), and elastic forces, (n, K); NaN if diverged."""
+        """Process samples, (n,) each; return means, (n, K, 5), and elastic forces N, (n, K); NaN once diverged."""
         means = np.empty((len(force_n), len(self._guess), STATE_COUNT))
         walk_var = np.square(RANDOM_WALK_SHARE * self._guess) * self._dt_s
         _advance_bank(
@@ -139,7 +139,7 @@ def _predict(mean, cov, force_n, mass_kg, dt_s, force_var, walk_var, step, trans
 
 
 class PaperIdentifier:
-    """The paper's bank on the Butterworth signals; its probabilities are plain products of innovation likelihoods."""
+    """The paper's bank on the Butterworth signals. Its probabilities are plain products of innovation likelihoods."""
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: IdentificationSettings) -> None:
         priors = TissuePriors.from_library(library)
@@ -175,7 +175,7 @@ class PaperIdentifier:
         return np.append(likelihood / likelihood.sum(), 0.0)
 
     def choose_by_criteria(self) -> int:
-        """The paper's answer so far: the guess whose force error has been inside its bound for longest, index."""
+        """Return the index of the paper's answer: the guess with the earliest convergence, then the least error."""
         errors = np.concatenate(self._errors)
         converged = convergence_samples(errors, self._convergence_error * self._peak_n)  # NaN sorts last
         mean_error = np.nan_to_num(np.abs(errors), nan=np.inf).mean(axis=0)

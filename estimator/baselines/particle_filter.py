@@ -1,8 +1,8 @@
-"""A particle filter, the paper's future work: particles over the parameters of every tissue and of unknown things.
+"""A particle filter, the paper's future work: particles over the parameters of every tissue and of `unknown`.
 
-Each particle knows its parameters for certain and follows displacement, velocity, offset and strain noise with a small
-Kalman filter of its own (Rao and Blackwell); so a few hundred particles a tissue do. Where the weights degenerate, the
-particles of a tissue are drawn anew and jittered with a shrunken kernel (Liu and West).
+Each particle has fixed parameters. It estimates displacement, velocity, offset and strain noise with a small Kalman
+filter (Rao-Blackwellized), so a few hundred particles per tissue suffice. If the weights degenerate, the particles of a
+tissue are resampled and jittered with a shrunken kernel (Liu and West).
 """
 
 import math
@@ -16,13 +16,13 @@ from estimator.filter_bank import ContactStart, FilterTuning, TissuePriors, bank
 from estimator.kalman_filter import DISPLACEMENT, ELAPSED_S, FORCE, METRE_PER_VOLT, NEWTON_PER_VOLT
 from estimator.tissue_model import elastic_force, step_matrices, tangent_stiffness
 
-PARTICLES_PER_TISSUE = 400  # a tissue
+PARTICLES_PER_TISSUE = 400
 KERNEL_SHRINKAGE = 0.98  # of Liu and West's kernel
-MIN_EFFECTIVE_SHARE = 0.3  # effective share of particles below which they are drawn anew
+MIN_EFFECTIVE_SHARE = 0.3  # effective share of particles below which they are resampled
 
 
 class ParticleIdentifier:
-    """Strict model, same noise and start as the bank's strict filters; `seed` makes it repeatable."""
+    """Particle filter with the model, noise and start of the bank's strict filters; `seed` makes it repeatable."""
 
     def __init__(self, tool: Tool, library: TissueLibrary, settings: IdentificationSettings, seed: int = 0) -> None:
         self._priors, self._seed = TissuePriors.from_library(library), seed
@@ -74,7 +74,7 @@ class ParticleIdentifier:
                 self._resample(tissue)
 
     def _resample(self, tissue: int) -> None:
-        """Keep the tissue's evidence apart from its particles' weights, and draw these anew where few matter."""
+        """Move the weights' sum into the tissue's evidence, and resample the particles if the weights degenerate."""
         log_weight = self._log_weight[tissue]
         total = float(np.logaddexp.reduce(log_weight))
         if not math.isfinite(total):
@@ -106,7 +106,7 @@ class ParticleIdentifier:
 
 @compiled
 def _process_sample(log, state, cov, log_weight, before, sample, noise):
-    """One sample for all particles of a tissue."""
+    """Process one sample for all particles of a tissue."""
     step, move, gain = np.empty((2, 4)), np.zeros((4, 4)), np.empty(4)
     move[2, 2] = 1.0
     for k in range(len(log)):

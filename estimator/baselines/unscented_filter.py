@@ -1,6 +1,6 @@
-"""An unscented filter (Julier and Uhlmann) in place of each strict one: same states, noise, start and evidence.
+"""Unscented Kalman filters (Julier and Uhlmann) in place of the strict ones: same states, noise, start and evidence.
 
-No lenient filters, and so no evidence from surprise.
+There are no lenient filters, and so no evidence from surprise.
 """
 
 import math
@@ -34,11 +34,11 @@ from estimator.kalman_filter import (
 )
 from estimator.tissue_model import elastic_force, step_matrices, tangent_stiffness
 
-UNSCENTED_LAMBDA = 1.0  # lambda: the central point keeps a tenth of the weight, and all weights stay positive
+UNSCENTED_LAMBDA = 1.0  # the central point has a tenth of the weight, and all weights are positive
 
 
 class UnscentedFilterBank(FilterBank):
-    """The strict filters, unscented. No second passes: there is no linearisation to renew."""
+    """Bank of unscented strict filters. It has no second passes, because there is no linearization to repeat."""
 
     def advance(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         state = self.state
@@ -62,7 +62,7 @@ class UnscentedFilterBank(FilterBank):
 
 
 def build_unscented_identifier(tool: Tool, library: TissueLibrary, settings: IdentificationSettings) -> BankIdentifier:
-    """Unscented filters for a library's tissues on a tool."""
+    """Create unscented filters for a library's tissues on a tool."""
     bank = UnscentedFilterBank(TissuePriors.from_library(library), build_filter_tunings(tool)[:1])
     return BankIdentifier(bank, BankEvidence(bank, library, settings), 1.0 / tool.board.sample_rate_hz)
 
@@ -85,7 +85,7 @@ def _process_sample(before, sample, noise, guess, mean, cov, fit, valid):
 
 @compiled
 def _predict(mean, cov, before, sample, noise, points, step):
-    """Move 19 sigma points through the step, each linearised at itself, and take their mean and covariance."""
+    """Move 19 sigma points through the step, each linearized at itself, and compute their mean and covariance."""
     weight = 0.5 / (STATE_COUNT + UNSCENTED_LAMBDA)
     root = _compute_cholesky_factor(cov)
     for j in range(STATE_COUNT):
@@ -109,7 +109,7 @@ def _predict(mean, cov, before, sample, noise, points, step):
     cov[:] = UNSCENTED_LAMBDA / (STATE_COUNT + UNSCENTED_LAMBDA) * np.outer(points[-1] - mean, points[-1] - mean)
     for point in points[:-1]:
         cov += weight * np.outer(point - mean, point - mean)
-    # `step` is still that of the central point
+    # `step` still holds the step of the central point
     for r in range(2):
         for q in range(2):
             fresh = sample[NEWTON_PER_VOLT] * sample[NEWTON_PER_VOLT] * step[r, 3] * step[q, 3] * noise.strain_var
@@ -123,7 +123,7 @@ def _predict(mean, cov, before, sample, noise, points, step):
 
 @compiled
 def _compute_cholesky_factor(cov):
-    """Lower Cholesky factor of a positive semi-definite matrix: a state that is known for certain has a zero column."""
+    """Return the lower Cholesky factor of a positive semi-definite matrix; a state without variance gives zeros."""
     n = len(cov)
     root = np.zeros((n, n))
     for j in range(n):

@@ -1,4 +1,1 @@
-"""Tissue libraries from recordings: what a grasp's loading curve tells, how it scatters, and what that makes likely.
-
-Mathematics alone: files are in `app.analysis.learning`.
-"""
+"""Learn tissue libraries from labeled recordings: mathematics only; `app.analysis.learning` reads and writes files."""

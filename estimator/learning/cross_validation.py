@@ -1,8 +1,8 @@
-"""How right, how early and how honest a learned library is on grasps that it was not learned from.
+"""Cross-validate a learned library: accuracy, speed and calibration on grasps that it was not learned from.
 
-Three questions, from hard to easy. *Another recording*: each recording in turn is left out, where its tissue has
-another one. *Another tissue*: each tissue is left out as a whole, and its grasps should be unknown. *Later grasps*: one
-half in time of every recording is learned from, the other asked. The last one is too kind: it knows the session.
+Three questions, from hard to easy. *Another recording*: each recording in turn is left out, if its tissue has another
+one. *Another tissue*: each tissue is left out as a whole, and its grasps should be unknown. *Later grasps*: one half
+of every recording is learned from, the other half tested. The last one is too optimistic: it knows the session.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +16,7 @@ from estimator.decision import UNDECIDED, UNKNOWN, Decision
 from estimator.learning.recorded_grasps import LabeledRecording, RecordedGrasp
 from estimator.loading.learned_evidence import LearnedEvidence, LearnedGrasp
 
-STEP_SAMPLES = 5  # as the session renews probabilities
+STEP_SAMPLES = 5  # probabilities are updated after as many samples as in `TissueEstimator`
 FORCE_CHECKPOINTS = (0.1, 0.2, 0.3, 0.5, 0.75)  # shares of the usual peak force, while it rises
 
 LibraryLearner = Callable[[Sequence[LabeledRecording]], TissueLibrary]
@@ -25,7 +25,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class ValidationAnswer:
-    """What a library that does not know a grasp's recording says of it."""
+    """Answer for one grasp from a library that was learned without this grasp."""
 
     question: str
     recording: str
@@ -34,7 +34,7 @@ class ValidationAnswer:
     label: str
     decided_s: float | None  # since the command left zero
     probabilities: dict[str, float]
-    truth_probabilities: tuple[float, ...]  # of the truth, as the force passes each of CHECKPOINTS, and at the end
+    truth_probabilities: tuple[float, ...]  # of the truth, at each of FORCE_CHECKPOINTS and at the end
     most_likely: tuple[str, ...]  # at the same moments
 
 
@@ -42,11 +42,11 @@ class ValidationAnswer:
 class Fold:
     question: str
     training: list[LabeledRecording]
-    tests: list[tuple[LabeledRecording, str, frozenset[int]]]  # recording, right answer, positions of the grasps asked
+    tests: list[tuple[LabeledRecording, str, frozenset[int]]]  # recording, right answer, positions of tested grasps
 
 
 def folds(recordings: Sequence[LabeledRecording]) -> Iterator[Fold]:
-    """All that can be asked of these recordings, in an order that does not depend on theirs."""
+    """Yield all folds that these recordings allow, in an order independent of theirs."""
     recordings = sorted(recordings, key=lambda each: (each.label, each.sha256))
     labels = sorted({each.label for each in recordings})
     for left in recordings:
@@ -71,7 +71,7 @@ def _all_positions(recording: LabeledRecording) -> frozenset[int]:
 
 
 def _select_half(recording: LabeledRecording, *, late: bool) -> tuple[LabeledRecording, frozenset[int]]:
-    """The earlier or later half, with the first grasp before it, which learning leaves out."""
+    """Return the earlier or later half and its positions, always with the first grasp, which learning leaves out."""
     middle = len(recording.grasps) // 2
     kept = frozenset(range(middle, len(recording.grasps))) if late else frozenset(range(middle))
     grasps = tuple(grasp for i, grasp in enumerate(recording.grasps) if i in kept or i == 0)
@@ -85,10 +85,7 @@ def cross_validate(
     settings: IdentificationSettings,
     progress: Progress,
 ) -> list[ValidationAnswer]:
-    """Every grasp's answer to every question that these recordings allow.
-
-    `learn`: the library that some of them make.
-    """
+    """Return the answers for all tested grasps of all folds; `learn` makes a library from recordings."""
     answers, todo = [], list(folds(recordings))
     for done, fold in enumerate(todo):
         progress(done / len(todo))
@@ -96,7 +93,7 @@ def cross_validate(
         try:
             library = learn(learnable)
         except (ValueError, ConfigurationError):
-            continue  # too little is left
+            continue  # too few recordings or grasps are left
         asker = _FoldEvaluator(library, tool, settings)
         for recording, truth, positions in fold.tests:
             answers += asker.evaluate(

@@ -1,4 +1,4 @@
-"""From loading curves of labelled recordings to a tissue library."""
+"""Fit a tissue library to the loading curves of labeled recordings."""
 
 import math
 from collections.abc import Sequence
@@ -33,13 +33,13 @@ def fit_library(
     name: str,
     date: str,
 ) -> TissueLibrary:
-    """The library that recordings make; the order in which they come does not matter.
+    """Return the library learned from recordings, independent of their order.
 
     Args:
         curves: of at least one recording for each tissue, each with at least one grasp.
-        base: what injury thresholds, mass and jaw area are taken from.
+        base: library that injury thresholds, mass and jaw area come from.
         peak_v: usual peak of the strain gage over rest, V.
-        date: when it was learned, YYYY-MM-DD.
+        date: date of learning, YYYY-MM-DD.
 
     Raises:
         ConfigurationError: no filter could follow any grasp of some tissue.
@@ -86,7 +86,7 @@ def fit_library(
 
 
 def find_base_tissue(label: str, base: TissueLibrary) -> str | None:
-    """The base library's name for a label, whatever its case and separators; None where it has none."""
+    """Return the base library's name for a label, ignoring case and separators; None if it has none."""
     wanted = _normalize_name(label)
     return next((name for name in base.tissues if _normalize_name(name) == wanted), None)
 
@@ -104,9 +104,9 @@ def _groups(
 def _fit_parameter_scatter(
     curves: Sequence[LoadingCurves], labels: list[str]
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Of each tissue, the mean (4,) and covariance (4, 4) of log alpha, log beta, log d and log thickness.
+    """Return each tissue's mean (4,) and covariance (4, 4) of log alpha, log beta, log d and log thickness.
 
-    The thickness is NaN where no contact was sensed, and its variance 1 then: the caller knows what to put there.
+    Without sensed contact the mean log thickness is NaN and its variance 1; the caller replaces both.
     """
     rows = {label: [] for label in labels}
     for each in curves:
@@ -194,5 +194,5 @@ def _round_matrix(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
 
 
 def _round_significant(value: float) -> float:
-    """To six significant digits: a file for people, and the same bits on every machine."""
+    """Round to six significant digits: readable files, and the same bits on every machine."""
     return float(f"{value:.{SIGNIFICANT_DIGITS}g}")

@@ -1,8 +1,8 @@
-"""alpha, beta and d of a recorded grasp, from its whole loading at once.
+"""Fit alpha, beta and d of a recorded grasp to its whole loading at once.
 
-On real tissue the filters' equation is too poor to be followed sample by sample from a start that excludes nothing, so
-the parameters that their priors are learned from come from a least-squares fit of Eq. (7) without its inertia. The drag
-of cable and drive, which is large and nearly constant while the jaws travel, goes into d.
+Real tissue differs too much from the filters' equation to follow it sample by sample from a wide prior. So the
+parameters for the filters' priors come from a least-squares fit of Eq. (7) without inertia. The drag of cable and
+drive, which is large and nearly constant while the jaws travel, becomes part of d.
 """
 
 import math
@@ -27,17 +27,18 @@ EXPONENT_LIMIT = 30.0
 
 
 def compute_initial_guess(base: TissueLibrary) -> np.ndarray:
-    """Where the search begins whatever the tissue: mean log alpha, log beta, log d of a library, (3,)."""
+    """Return the mean log alpha, log beta, log d of a library, (3,): the start of the search for every tissue."""
     rows = [(t.alpha_n, t.beta_per_m, t.damping_kg_per_s) for t in base.tissues.values()]
     return np.log(rows).mean(axis=0)
 
 
 def fit_parameters(samples: np.ndarray, rate_hz: float, guess: np.ndarray) -> np.ndarray:
-    """log alpha, log beta, log d, (3,), of a grasp from contact to shut jaws; NaN where it has no such loading.
+    """Return log alpha, log beta, log d, (3,), of a grasp from contact to jaw closure; NaN if it has no loading.
 
     Args:
-        samples: of one grasp, dtype SAMPLE.
-        guess: of the logarithms, (3,); believed within IDENTIFYING_LOG_SD.
+        samples: samples of one grasp, dtype SAMPLE.
+        rate_hz: sample rate.
+        guess: prior mean of the logarithms, (3,), with the SD `FIT_PRIOR_LOG_SD`.
     """
     loading = _extract_loading(samples, rate_hz)
     if loading is None:
@@ -65,7 +66,7 @@ def fit_parameters(samples: np.ndarray, rate_hz: float, guess: np.ndarray) -> np
 
 
 def _extract_loading(samples: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Force N, displacement m and velocity m/s from contact to shut jaws or the highest force, each (n,)."""
+    """Return force N, displacement m and velocity m/s from contact to jaw closure or the highest force, each (n,)."""
     contacts = samples["contact_tick"][samples["contact_tick"] >= 0]
     if not len(contacts):
         return None
@@ -90,18 +91,18 @@ def _compute_residuals(
     guess: np.ndarray,
     prior: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals of force and prior in standard deviations, (n + 3,), and their slopes, (n + 3, 3)."""
+    """Return residuals of force and prior in standard deviations, (n + 3,), and their Jacobian, (n + 3, 3)."""
     alpha, beta, d = np.exp(at)
     exponent = np.minimum(beta * x_m, EXPONENT_LIMIT)
     elastic, drag = alpha * np.expm1(exponent), d * velocity
     slope = np.column_stack([elastic, alpha * np.exp(exponent) * exponent, drag]) / sd_n
     residual = (elastic + drag - force_n) / sd_n
-    weight = math.sqrt(FIT_EFFECTIVE_POINTS / len(force_n))  # neighbouring samples repeat each other
+    weight = math.sqrt(FIT_EFFECTIVE_POINTS / len(force_n))  # errors of neighboring points are correlated
     return np.append(weight * residual, prior * (at - guess)), np.vstack([weight * slope, np.diag(prior)])
 
 
 def measure_thickness_m(samples: np.ndarray, tool: Tool) -> float | None:
-    """The gap between the jaws at first contact, m; None where contact is not sensed, or the tissue fills the jaws."""
+    """Return the gap between the jaws at first contact, m; None without sensed contact, or if tissue fills the jaws."""
     opening_m = tool.geometry.opening_m
     sensed = np.flatnonzero(samples["flags"] & CONTACT_SENSED)
     if opening_m is None or not len(sensed):

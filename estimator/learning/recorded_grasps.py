@@ -1,4 +1,4 @@
-"""Grasps as they are learned from: samples of each, and why some are left out."""
+"""Recorded grasps for learning, and the reasons why some are left out."""
 
 import math
 from dataclasses import dataclass, field
@@ -15,22 +15,22 @@ ENCODER_SLIPS, SATURATED = SampleFlag.ENCODER_SLIPS.value, SampleFlag.SATURATED.
 
 @dataclass(frozen=True, slots=True)
 class RecordedGrasp:
-    """One grasp of a recording, from where the command leaves zero to where it returns."""
+    """One grasp of a recording, from the command leaving zero to its return."""
 
     index: int
     samples: np.ndarray  # dtype SAMPLE
-    log_parameters: np.ndarray  # ln of alpha (N), beta (1/m), d (kg/s), (3,); NaN where no filter followed it
-    thickness_m: float | None  # where contact is sensed
+    log_parameters: np.ndarray  # ln of alpha (N), beta (1/m), d (kg/s), (3,); NaN without a fit
+    thickness_m: float | None  # None without sensed contact
 
     @property
     def peak_v(self) -> float:
-        """Highest strain voltage over the lowest before it, smoothed, V."""
+        """Highest smoothed strain voltage minus the lowest before it, V."""
         volt = np.convolve(self.samples["strain_v"], np.full(MEAN_SAMPLES, 1 / MEAN_SAMPLES), "valid")
         top = int(np.argmax(volt)) if len(volt) else 0
         return float(volt[top] - volt[: top + 1].min()) if len(volt) else 0.0
 
     def find_fault(self) -> str | None:
-        """Why nothing can be learned from it; None where it can."""
+        """Return the reason why nothing can be learned from this grasp; None if it is usable."""
         flags = int(np.bitwise_or.reduce(self.samples["flags"])) if len(self.samples) else 0
         if flags & ENCODER_SLIPS:
             return "encoder slips or walks"
@@ -43,7 +43,7 @@ class RecordedGrasp:
 
 @dataclass(frozen=True, slots=True)
 class LabeledRecording:
-    """A labelled recording."""
+    """A recording with its tissue's label."""
 
     label: str
     file: str
@@ -53,21 +53,21 @@ class LabeledRecording:
 
 @dataclass(slots=True)
 class LoadingCurves:
-    """What of a recording is learned from: N grasps, F features."""
+    """Features and parameters of a recording's N usable grasps, F features each."""
 
     recording: LabeledRecording
     features: np.ndarray  # (N, F)
     log_parameters: np.ndarray  # (N, 3)
     log_thickness: np.ndarray  # (N,), NaN where it is not measured
     ramp_log: float
-    grasp_indices: list[int] = field(default_factory=list)  # of the grasps, from 1
-    left_out: list[str] = field(default_factory=list)
+    grasp_indices: list[int] = field(default_factory=list)  # from 1
+    left_out: list[str] = field(default_factory=list)  # other grasps, with the reason
 
 
 def estimate_usual_peak_v(recordings: list[LabeledRecording]) -> float:
-    """Peak that grasps of all recordings reach, V, to a millivolt; NaN where no grasp is sound.
+    """Return the peak strain voltage that grasps of all recordings reach, V, to a millivolt; NaN without usable grasps.
 
-    The lowest of the recordings' medians, unless a recording is much weaker than most.
+    It is the lowest of the recordings' medians, but at least `MIN_PEAK_SHARE` of the median recording.
     """
     peaks = [
         np.median(sound) for each in recordings if (sound := [g.peak_v for g in each.grasps if not g.find_fault()])
@@ -76,7 +76,7 @@ def estimate_usual_peak_v(recordings: list[LabeledRecording]) -> float:
 
 
 def extract_loading_curves(recording: LabeledRecording, tool: Tool, peak_v: float) -> LoadingCurves:
-    """Each sound grasp's loading curve. The first, on tissue that is not preconditioned, is left out on purpose."""
+    """Return the features of each usable grasp. The first grasp is left out: its tissue is not preconditioned."""
     dt_s, stretch = 1.0 / tool.board.sample_rate_hz, tool.calibration.encoder_deg_per_volt
     features, ramps, kept, left_out = [], [], [], []
     for position, grasp in enumerate(recording.grasps):

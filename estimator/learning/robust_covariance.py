@@ -1,4 +1,4 @@
-"""Centres and covariances that outlying grasps do not move."""
+"""Estimate centers and covariances that are robust against outlying grasps."""
 
 from collections.abc import Sequence
 
@@ -13,16 +13,16 @@ MAD_TO_SD = 1.4826  # of a Gaussian
 def robust_scatter(
     groups: Sequence[np.ndarray], floor_var: np.ndarray
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
-    """Centre of each group, weight of each of its rows, and the covariance within all groups together.
+    """Return each group's center, its rows' weights, and the covariance within all groups together.
 
-    By weights of a Student's t with ROBUST_FREEDOM degrees: a grasp far out counts less, whichever group it is in.
+    The weights are those of a Student's t with `ROBUST_DEGREES_OF_FREEDOM`, so an outlying grasp counts less.
 
     Args:
         groups: arrays of shape (n, p), n at least 1.
         floor_var: variance added to each of the p columns, (p,), positive.
 
     Returns:
-        Centres, each (p,); weights, each (n,); covariance (p, p), positive definite.
+        Centers, each (p,); weights, each (n,); covariance (p, p), positive definite.
     """
     p, total = len(floor_var), max(sum(len(rows) - 1 for rows in groups), 1)
     centres = [np.median(rows, axis=0) for rows in groups]
@@ -49,7 +49,7 @@ def robust_scatter(
 def shrunk_scatter(
     groups: Sequence[np.ndarray], centres: Sequence[np.ndarray], weights: Sequence[np.ndarray], pooled: np.ndarray
 ) -> np.ndarray:
-    """Covariance (p, p) within one tissue's groups, drawn towards `pooled` as by POOLED_WEIGHT grasps."""
+    """Return the covariance (p, p) within one tissue's groups, shrunk toward `pooled` by `POOLED_WEIGHT` grasps."""
     moments, count = POOLED_WEIGHT * pooled, POOLED_WEIGHT
     for rows, centre, weight in zip(groups, centres, weights, strict=True):
         off = rows - centre

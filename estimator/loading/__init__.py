@@ -1,1 +1,1 @@
-"""Probabilities of a learned library from a grasp's loading curve."""
+"""Compute the probabilities of a learned library from a grasp's loading curve."""

@@ -1,8 +1,8 @@
-"""What another recording of a tissue is likely to look like, given some of it and of others.
+"""Predict the features of another recording of a tissue, from recordings of that tissue and of others.
 
-Centres of recordings are a Gaussian process over tissue and the logarithm of the ramp: tissues differ widely, another
-ramp changes all of them alike and each a little by itself, and each recording has its own deviation. All of these have
-the same covariance over the features, up to their scales, so that a prediction is a weighted mean of centres.
+The centers of recordings are a Gaussian process over tissue and log ramp. Tissues differ widely. Another ramp changes
+all tissues alike, and each a little by itself. Each recording has its own deviation. All these terms have the same
+covariance over the features, up to a scale, so a prediction is a weighted mean of centers.
 """
 
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ from estimator.loading.constants import (
     TISSUE_SCALE,
 )
 
-SAME_RAMP_TOLERANCE_LOG = 0.2  # ramps that differ by less are one
+SAME_RAMP_TOLERANCE_LOG = 0.2  # ramps that differ by less count as equal
 
 
 def between_covariance() -> np.ndarray:
-    """Covariance (F, F) of the features that all differences between recordings share, up to their scale."""
+    """Return the covariance (F, F) of the features that all differences between recordings share, up to a scale."""
     at = np.arange(len(BETWEEN_SD))
     fall = BETWEEN_CORRELATION * np.exp(-np.abs(np.subtract.outer(at, at)) / BETWEEN_RANGE)
     np.fill_diagonal(fall, 1.0)
@@ -34,7 +34,7 @@ def between_covariance() -> np.ndarray:
 
 @dataclass(frozen=True, slots=True)
 class RecordingCenters:
-    """Recordings that were learned from: R of them, T tissues."""
+    """Centers of the R recordings of a learned library."""
 
     tissue_indices: np.ndarray  # (R,) index of the tissue
     log_ramps: np.ndarray  # (R,)
@@ -42,7 +42,10 @@ class RecordingCenters:
     session_scale: float
 
     def predict_center(self, tissue: int, ramp_log: float) -> tuple[np.ndarray, float]:
-        """Centre (F,) of a new recording of a tissue at a ramp, and its variance in units of `between_covariance`."""
+        """Return the predicted center (F,) of a new recording, and its variance in units of `between_covariance`.
+
+        `ramp_log` is the natural logarithm of the command's rate in V/s.
+        """
         same, near = (
             np.equal.outer(self.tissue_indices, self.tissue_indices),
             _compute_ramp_kernel(self.log_ramps, self.log_ramps),
@@ -65,7 +68,7 @@ def _compute_ramp_kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def estimate_session_scale(tissue: np.ndarray, ramp_log: np.ndarray, centre: np.ndarray) -> float:
-    """Scale of the deviation from recording to recording: the prior's, moved by recordings that repeat each other."""
+    """Return the scale of the deviation between recordings, from a prior and pairs of one tissue at equal ramps."""
     information = np.linalg.inv(between_covariance())
     weight, total = SESSION_SCALE_WEIGHT, SESSION_SCALE_WEIGHT * SESSION_SCALE**2
     for name in np.unique(tissue):

@@ -6,62 +6,60 @@ from config.schema import LOADING_FEATURES
 
 # --- the loading curve ------------------------------------------------------------------------------------------------
 # Handle force and cable-corrected travel, not the jaws' force and displacement: Eqs. (2) and (6) need the jaws'
-# absolute angle, and jaws that have not opened fully after the grasp before start from an unknown one.
+# absolute angle, which is unknown if the jaws did not open fully after the previous grasp.
 MEAN_SAMPLES = 8  # mean of the last samples: 1 to 5 mV of strain noise become 0.1 deg of corrected travel
-FORCE_GAPS_DEG = (40.0, 5.0)  # of travel left before the jaws are shut, at which the force is read
-MIN_PEAK_SHARE = 0.6  # of most recordings' peak: a weaker one does not set the levels of force for all
-CLOSURE_SHARES = (0.45, 0.75)  # of the usual peak force: between them the travel stands for shut jaws
-KNEE_SHARE = 0.3  # of the usual peak force: here soft tissue has given way and stiff tissue has not
-LEAN_SHARES = (0.45, 0.82)  # of the usual peak force: what still yields between them beyond the cable's stretch
-GIVE_SHARES = (0.2, 0.3)  # of the usual peak force: how far the jaws travel between them
-YIELD_SHARES = (0.2, 0.5)  # of the usual peak force: how long the drive takes between them
-STALLED_SAMPLES = 30  # without a higher force: the drive has stalled, and the loading is over
-LOADING_LIMIT_SAMPLES = 60_000  # a minute; a grasp that loads for longer tells nothing more
-LOADING_START_SHARE = 0.05  # of the usual peak force over the lowest: the jaws meet something, and the lowest is rest
-RAMP_STEP_LOG = 0.1  # ramps are told apart no finer
-RAMP_SHARE = 0.9  # of the command's maximum so far, by which the ramp's rate is measured
+FORCE_GAPS_DEG = (40.0, 5.0)  # travel left before jaw closure at which the force is read
+MIN_PEAK_SHARE = 0.6  # share of the recordings' median peak below which a recording does not set the usual peak
+CLOSURE_SHARES = (0.45, 0.75)  # shares of the usual peak force: the jaws count as shut at the travel between them
+KNEE_SHARE = 0.3  # share of the usual peak force: soft tissue has given way here, stiff tissue has not
+LEAN_SHARES = (0.45, 0.82)  # shares of the usual peak force: travel between them, without the cable's stretch
+GIVE_SHARES = (0.2, 0.3)  # shares of the usual peak force: travel of the jaws between them
+YIELD_SHARES = (0.2, 0.5)  # shares of the usual peak force: time between them
+STALLED_SAMPLES = 30  # samples without a higher force after which the drive has stalled and the loading is over
+LOADING_LIMIT_SAMPLES = 60_000  # a minute; a longer loading adds no information
+LOADING_START_SHARE = 0.05  # share of the usual peak force over the lowest: the jaws meet something
+RAMP_STEP_LOG = 0.1  # resolution of ramps
+RAMP_SHARE = 0.9  # share of the command's maximum so far up to which the ramp's rate is measured
 
-FEATURES = LOADING_FEATURES  # one force for each of GAPS_DEG
+FEATURES = LOADING_FEATURES  # one force for each of FORCE_GAPS_DEG
 OPENING_UNIT_DEG = 12.0
-TRAVEL_UNIT_DEG = 2.0  # below it a travel counts as it is, above it by its logarithm (arcsinh)
-FORCE_FLOOR_SHARE = 0.02  # of the usual peak force, added before the logarithm: noise of a force near zero is no news
+TRAVEL_UNIT_DEG = 2.0  # a smaller travel counts linearly, a larger one by its logarithm (arcsinh)
+FORCE_FLOOR_SHARE = 0.02  # share of the usual peak force added before the logarithm, to damp noise near zero
 
 # --- between recordings -----------------------------------------------------------------------------------------------
-# By how much a whole recording differs from another of the same tissue and ramp. Few recordings cannot tell a matrix;
-# its shape is stated, its scale is learned where a tissue has several recordings at one ramp.
+# SD of a whole recording from another one of the same tissue and ramp. A few recordings cannot determine a matrix, so
+# its shape is stated. Its scale is learned if a tissue has several recordings at one ramp.
 # 18 deg; 20 % of force, twice; about 0.7 deg, twice; 2.4 % of force; 12 % of time; 1 deg
 BETWEEN_SD = np.array([1.5, 0.2, 0.2, 0.35, 0.35, 0.024, 0.12, 0.5])
-BETWEEN_CORRELATION = 0.6  # of neighbouring features: a session shifts the curve as a whole
-BETWEEN_RANGE = 2.0  # features over which that falls to 1/e
+BETWEEN_CORRELATION = 0.6  # of neighboring features: a session shifts the curve as a whole
+BETWEEN_RANGE = 2.0  # number of features over which the correlation falls to 1/e
 SESSION_SCALE = 0.6  # times BETWEEN_SD: specimen, grip and rig from recording to recording
-SESSION_SCALE_WEIGHT = 4.0  # recordings that this prior is worth
-RATE_SCALE = 3.0  # times BETWEEN_SD: what another ramp changes for all tissues alike (friction, drive)
-RATE_TISSUE_SCALE = 0.7  # times BETWEEN_SD: what it changes for one tissue
-TISSUE_SCALE = 20.0  # times BETWEEN_SD: how far apart tissues may lie
-RATE_LENGTH_LOG = 1.0  # ramps that differ by a factor e are still alike
+SESSION_SCALE_WEIGHT = 4.0  # weight of this prior, in recordings
+RATE_SCALE = 3.0  # times BETWEEN_SD: effect of another ramp on all tissues alike (friction, drive)
+RATE_TISSUE_SCALE = 0.7  # times BETWEEN_SD: effect of another ramp on one tissue
+TISSUE_SCALE = 20.0  # times BETWEEN_SD: distance between tissues
+RATE_LENGTH_LOG = 1.0  # ramps that differ by a factor e are still similar
 
 # --- within a recording -----------------------------------------------------------------------------------------------
-ROBUST_DEGREES_OF_FREEDOM = 4.0  # Student's t by which outlying grasps count less
-WITHIN_FLOOR_SHARE = 0.05  # of BETWEEN_SD squared: a recording that repeats itself exactly proves nothing
-POOLED_WEIGHT = 15.0  # grasps that the scatter of all tissues together is worth beside a tissue's own
-SHAPE_WEIGHT = 5.0  # grasps by which correlations are shrunk
+ROBUST_DEGREES_OF_FREEDOM = 4.0  # of the Student's t that gives outlying grasps less weight
+WITHIN_FLOOR_SHARE = 0.05  # share of BETWEEN_SD squared: least variance, however well a recording repeats itself
+POOLED_WEIGHT = 15.0  # weight of the scatter of all tissues beside a tissue's own, in grasps
+SHAPE_WEIGHT = 5.0  # strength of the shrinkage of correlations, in grasps
 
 # --- the answer -------------------------------------------------------------------------------------------------------
-DEGREES_OF_FREEDOM = 8.0  # of Student's t: a grasp as far out as never seen before may not be sure of its neighbour
-UNKNOWN_SCALE = 2.5  # things outside the library scatter by so many spreads of the tissues about their mean
+DEGREES_OF_FREEDOM = 8.0  # of Student's t: a grasp far from all recordings must not give a sure answer
+UNKNOWN_SCALE = 2.5  # spread of things outside the library about the tissues' mean, in spreads of the tissues
 UNKNOWN_DEGREES_OF_FREEDOM = 3.0
-CLOSURE_STEP_DEG = 4.0  # of the place where the jaws are shut, by which its influence is found
-# How well the grasp before tells where the jaws will be shut: probability and SD, degrees. Mostly it held
-# the same tissue; another one may be thicker by 17 degrees.
+CLOSURE_STEP_DEG = 4.0  # step of the jaw closure angle for the features' sensitivity to it
+# How well the previous grasp predicts the jaw closure angle: probability and SD, degrees. Mostly it held the same
+# tissue; another one may be thicker by 17 degrees.
 PREVIOUS_CLOSURE_MIXTURE = ((0.8, 2.5), (0.2, 12.0))
-FIRST_GRASP_SCALE = (
-    1.0  # times BETWEEN_SD: how far a first grasp, on tissue that is not preconditioned, is from later ones
-)
+FIRST_GRASP_SCALE = 1.0  # times BETWEEN_SD: a first grasp differs, because the tissue is not preconditioned
 
 # --- parameters of the filters ----------------------------------------------------------------------------------------
-PARAMETER_FLOOR_LOG_SD = 0.05  # no tissue is exactly Eq. (7)
-FIT_PRIOR_LOG_SD = (2.0, 1.0, 1.5)  # prior of log alpha, log beta, log d while nothing of the tissue is known
-FIT_FORCE_SHARE = 0.05  # of the highest force: how far Eq. (7) may be off
+PARAMETER_FLOOR_LOG_SD = 0.05  # no tissue follows Eq. (7) exactly
+FIT_PRIOR_LOG_SD = (2.0, 1.0, 1.5)  # prior of log alpha, log beta, log d without knowledge of the tissue
+FIT_FORCE_SHARE = 0.05  # error of Eq. (7), as a share of the highest force
 MIN_FIT_SAMPLES = 20  # of a loading
 FIT_POINTS = 200  # of a loading, evenly in time
-FIT_EFFECTIVE_POINTS = 20.0  # independent points that a loading is worth
+FIT_EFFECTIVE_POINTS = 20.0  # independent points in a loading

@@ -1,4 +1,4 @@
-"""From a loading curve to a probability for each tissue of a learned library and for `unknown`."""
+"""Compute a probability for each tissue of a learned library and for `unknown` from a loading curve."""
 
 import math
 
@@ -19,7 +19,7 @@ Gaussian = tuple[np.ndarray, np.ndarray]  # mean (F,), covariance (F, F)
 
 
 class LearnedEvidence:
-    """What a learned library makes of loading curves. Probabilities are in the library's order, `unknown` last."""
+    """Probabilities of a learned library's M tissues in its order, then of `unknown`, from loading curves."""
 
     def __init__(self, library: TissueLibrary, tool: Tool, settings: IdentificationSettings) -> None:
         learned = library.learned
@@ -43,17 +43,21 @@ class LearnedEvidence:
         self._dt_s = 1.0 / tool.board.sample_rate_hz
 
     def start_grasp(self, previous_closure_deg: float | None, *, first: bool) -> "LearnedGrasp":
-        """Follow a grasp from its start."""
+        """Return the estimator of a new grasp.
+
+        `previous_closure_deg` is the jaw closure angle of the previous grasp, None if not known; `first` marks the
+        source's first grasp.
+        """
         loading = LoadingCurve(self._stretch_deg_per_volt, self._peak_v, self._dt_s, previous_closure_deg, first=first)
         return LearnedGrasp(self, loading, first=first)
 
     @property
     def prior(self) -> np.ndarray:
-        """Probabilities before any data, (M + 1,)."""
+        """Prior probabilities, (M + 1,)."""
         return np.exp(self._log_prior)
 
     def predict_features(self, ramp_log: float, *, first: bool) -> list[Gaussian]:
-        """Of each tissue, and of unknown, what a grasp at a ramp is likely to give."""
+        """Return the distribution of a grasp's features at a ramp for each tissue and for `unknown`."""
         tissues = []
         for i, within in enumerate(self._within_covariances):
             centre, variance = self._centers.predict_center(i, ramp_log)
@@ -66,7 +70,7 @@ class LearnedEvidence:
         return [*tissues, (middle, UNKNOWN_SCALE**2 * spread)]
 
     def compute_posterior(self, observed: ObservedFeatures, predictions: list[Gaussian]) -> np.ndarray:
-        """Posterior probabilities, (M + 1,), from what has been seen so far."""
+        """Return posterior probabilities, (M + 1,), from the features observed so far."""
         told = np.flatnonzero(np.isfinite(observed.features))
         if not len(told):
             return self.prior
@@ -85,7 +89,7 @@ class LearnedEvidence:
 
 
 class LearnedGrasp:
-    """One grasp under way: its loading curve, and what that makes likely."""
+    """The current grasp: its loading curve and probabilities."""
 
     def __init__(self, evidence: LearnedEvidence, loading: LoadingCurve, *, first: bool) -> None:
         self._evidence, self.loading_curve, self._first = evidence, loading, first
@@ -95,7 +99,7 @@ class LearnedGrasp:
         self._last_features = b""
 
     def process(self, samples: np.ndarray) -> np.ndarray:
-        """Take samples of dtype SAMPLE; returns the probabilities, (M + 1,)."""
+        """Append samples of dtype SAMPLE and return the probabilities, (M + 1,)."""
         if self._probabilities is not None and self.loading_curve.ended:
             return self._probabilities
         self.loading_curve.append(samples)
@@ -106,7 +110,7 @@ class LearnedGrasp:
             and what == self._last_features
             and seen.ramp_log == self._predicted_ramp_log
         ):
-            return self._probabilities  # nothing new: most steps pass no level of force or travel
+            return self._probabilities  # unchanged: most steps reach no further level of force or travel
         self._last_features = what
         if seen.ramp_log != self._predicted_ramp_log:
             self._predictions, self._predicted_ramp_log = (
@@ -118,7 +122,7 @@ class LearnedGrasp:
 
 
 def compute_student_log_density(off: np.ndarray, scale: np.ndarray, freedom: float) -> float:
-    """Logarithm of the density of a multivariate Student's t at `off` (p,) from its centre, scale matrix (p, p)."""
+    """Return the log density of a multivariate Student's t at `off` (p,) from its center, with scale matrix (p, p)."""
     lower = np.linalg.cholesky(scale)
     z = np.linalg.solve(lower, off)
     p = len(off)

@@ -1,9 +1,9 @@
-"""One grasp's loading curve, sample by sample, and the few numbers by which tissues differ.
+"""One grasp's loading curve, sample by sample, and the features by which tissues differ.
 
-Force is the strain voltage over its lowest value in the grasp, as a share of the usual peak; travel is the encoder's
-without the cable's stretch, Eq. (3). What tells tissues apart lies before the jaws are shut: the force that is needed
-to bring them within some travel of that. Where they are shut is known from the grasp before, within a few degrees, and
-exactly once this grasp has come there.
+Force is the strain voltage over its lowest value in the grasp, as a share of the usual peak. Travel is the encoder's
+without the cable's stretch, Eq. (3). Tissues differ in the force needed to bring the jaws within some travel of jaw
+closure. The jaw closure angle is known from the previous grasp within a few degrees, and exactly once this grasp has
+reached it.
 """
 
 import math
@@ -38,10 +38,10 @@ KNEE, LEAN, STALL, YIELD, GIVE = range(1 + len(FORCE_GAPS_DEG), len(FEATURES))
 
 @dataclass(frozen=True, slots=True)
 class ObservedFeatures:
-    """What a loading curve has told so far.
+    """Features of a loading curve so far.
 
-    `features` (F,), NaN where not passed yet; `of_shut` (F,) by how much each changes with a degree of the place where
-    the jaws are shut, 0 once that is known; `ramp_log` natural logarithm of the command's rate in V/s.
+    `features` (F,) are NaN until reached. `closure_sensitivity` (F,) is their change per degree of the jaw closure
+    angle, and 0 once that is known. `ramp_log` is the natural logarithm of the command's rate in V/s.
     """
 
     features: np.ndarray
@@ -50,7 +50,7 @@ class ObservedFeatures:
 
 
 class LoadingCurve:
-    """Follows one grasp from where the command leaves zero."""
+    """Loading curve of one grasp, from the moment the command leaves zero."""
 
     def __init__(
         self,
@@ -64,11 +64,11 @@ class LoadingCurve:
         """Start at a grasp's first sample.
 
         Args:
-            stretch_deg_per_volt: the cable's, Eq. (3).
-            peak_v: usual peak of the strain voltage over rest, V: what the shares of force refer to.
-            dt_s: from sample to sample.
-            shut_before_deg: corrected encoder angle at which the jaws were shut before; None where nothing tells it.
-            first: whether this is the source's first grasp: how far its jaws are open says nothing of a tissue.
+            stretch_deg_per_volt: encoder angle per volt from the cable's stretch, Eq. (3).
+            peak_v: usual peak of the strain voltage over rest, V, to which the shares of force refer.
+            dt_s: sampling interval.
+            previous_closure_deg: corrected encoder angle of the previous jaw closure; None if not known.
+            first: whether this is the source's first grasp, whose jaw opening is no feature of the tissue.
         """
         self._stretch_deg_per_volt, self._peak_v, self._previous_closure_deg, self._is_first_grasp = (
             stretch_deg_per_volt,
@@ -79,15 +79,15 @@ class LoadingCurve:
         self._dt_s = dt_s
         self._last_v: deque[float] = deque(maxlen=MEAN_SAMPLES)
         self._last_deg: deque[float] = deque(maxlen=MEAN_SAMPLES)
-        self._smoothed = np.empty((3, 1024))  # smoothed strain, V; smoothed travel without the cable's, deg; command, V
+        self._smoothed = np.empty((3, 1024))  # smoothed strain, V; smoothed corrected travel, deg; command, V
         self._count = 0
         self._rest_v = np.inf
         self._is_loading = False
         self._peak_index, self._peak_strain_v = 0, -np.inf
-        self.ended = False  # the drive has stalled: what comes later is no loading
+        self.ended = False  # the drive has stalled: later samples are not loading
 
     def append(self, samples: np.ndarray) -> None:
-        """Take samples of dtype SAMPLE. Samples without a reading are left out."""
+        """Append samples of dtype SAMPLE, except samples without a reading."""
         columns = (samples[name].tolist() for name in ("strain_v", "encoder_deg", "motor_command_v"))
         for values in zip(*columns, strict=True):
             if self.ended:
@@ -119,12 +119,12 @@ class LoadingCurve:
 
     @property
     def peak_v(self) -> float:
-        """Highest smoothed strain voltage so far over its lowest, V."""
+        """Highest smoothed strain voltage so far minus the lowest, V."""
         return self._peak_strain_v - self._rest_v if self._count else 0.0
 
     @property
     def jaw_closure_deg(self) -> float | None:
-        """Corrected encoder angle where the jaws were shut in this grasp; None where they were not, or not yet."""
+        """Corrected encoder angle of this grasp's jaw closure; None if the jaws have not been shut."""
         low_v, high_v = (self._rest_v + share * self._peak_v for share in CLOSURE_SHARES)
         if not self._count or self._peak_strain_v < high_v:
             return None
@@ -134,14 +134,14 @@ class LoadingCurve:
         return float(np.median(between)) if len(between) else None
 
     def observe_features(self) -> ObservedFeatures:
-        """What is known by now."""
+        """Return the features so far."""
         if not self._is_loading:
             return ObservedFeatures(np.full(len(FEATURES), np.nan), np.zeros(len(FEATURES)), self.ramp_log)
         shut_deg, of_shut = self.jaw_closure_deg, np.zeros(len(FEATURES))
         at_deg = self._previous_closure_deg if shut_deg is None else shut_deg
         features = self._compute_features(at_deg)
         if shut_deg is None:
-            features[OPENING] = np.nan  # until then it would tell what the grasp before has held
+            features[OPENING] = np.nan  # before closure it would describe the previous grasp's tissue
         if shut_deg is None and at_deg is not None:
             later, sooner = (self._compute_features(at_deg + sign * CLOSURE_STEP_DEG) for sign in (1.0, -1.0))
             of_shut = (later - sooner) / (2 * CLOSURE_STEP_DEG)
@@ -151,7 +151,7 @@ class LoadingCurve:
 
     @property
     def ramp_log(self) -> float:
-        """ln of the command's rise in V/s up to RAMP_SHARE of its maximum so far; 0 where it has not moved."""
+        """Natural logarithm of the command's rate in V/s up to RAMP_SHARE of its maximum; 0 before it moves."""
         command = self._smoothed[2, : self._count]
         most = float(command.max(initial=0.0))
         after = int(np.argmax(command >= RAMP_SHARE * most)) if most > 0.0 else 0
@@ -161,7 +161,7 @@ class LoadingCurve:
         return RAMP_STEP_LOG * round(ramp_log / RAMP_STEP_LOG)
 
     def _compute_features(self, jaw_closure_deg: float | None) -> np.ndarray:
-        """FEATURES as far as passed, were the jaws shut at `shut_deg`; NaN otherwise."""
+        """Return FEATURES for jaws that close at `jaw_closure_deg`; NaN for those not reached yet."""
         result = np.full(len(FEATURES), np.nan)
         volt, travel, _ = self._smoothed[:, : self._peak_index + 1]
         force = (volt - self._rest_v) / self._peak_v

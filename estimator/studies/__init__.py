@@ -1,1 +1,1 @@
-"""Studies: how right, how early and how honest the estimator is, as commands anyone can run."""
+"""Studies: measure the estimator's accuracy, speed and calibration, each as one command."""

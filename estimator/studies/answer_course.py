@@ -1,4 +1,4 @@
-"""The course of one simulated grasp's answer over the time since contact, from the session as it runs live."""
+"""Simulate one grasp, and record the live estimator's answer over the time since contact."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,7 +18,7 @@ STEP_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class StudyConditions:
-    """What the grasps of a study have in common. Names, so that it goes to other processes cheaply."""
+    """Conditions of all grasps of a study. It holds names of files, so that it goes to other processes cheaply."""
 
     protocol: str = "trapezoid_2hz"
     library: str = "porcine"
@@ -30,7 +30,7 @@ class StudyConditions:
 
 @dataclass(frozen=True, slots=True)
 class StudySetup:
-    """What a `Bench` names, loaded."""
+    """The files that `StudyConditions` name, loaded."""
 
     tool: Tool
     library: TissueLibrary
@@ -40,7 +40,7 @@ class StudySetup:
 
 @lru_cache(maxsize=8)
 def load_study_setup(bench: StudyConditions) -> StudySetup:
-    """Load what the bench names; the simulated tool, with the noise and specimens' spread that it asks for."""
+    """Load the conditions' files, with their noise and specimens' spread on the simulated tool."""
     tool = with_noise(load_tool("simulated"), bench.noise_mv * 1e-3)
     assert tool.simulation is not None
     tool = tool.model_copy(update={"simulation": tool.simulation.model_copy(update={"spread_scale": bench.spread})})
@@ -62,19 +62,19 @@ class ProbabilityHistory:
     times_s: np.ndarray  # (steps,)
     probabilities: np.ndarray  # (steps, M + 1)
     record: GraspRecord
-    labels: tuple[str, ...]  # named within the grasp, in their order
+    labels: tuple[str, ...]  # labels within the grasp, in their order
     thickness_m: float
     log_parameters: np.ndarray  # (3,) the specimen's own
     grasp: SimulatedGrasp | None = None
 
     def probabilities_at(self, time_s: float) -> np.ndarray:
-        """Probabilities, (M + 1,), as known at a time after contact; the first ones where contact was not known yet."""
+        """Return the probabilities, (M + 1,), at a time after contact; the first ones before contact was known."""
         known = int(np.searchsorted(self.times_s, time_s + 1e-9, side="right")) - 1
         return self.probabilities[max(known, 0)]
 
 
 def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistory:
-    """Simulate a grasp and give it to an estimation session, as a run does."""
+    """Simulate a grasp and run the live estimator on it."""
     lab = load_study_setup(bench)
     grasp = simulate_grasp(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
     session = TissueEstimator(lab.tool, lab.library, lab.settings)
@@ -105,7 +105,7 @@ def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistor
 
 
 def build_balanced_cases(library: TissueLibrary, grasps: int, seed: int, **changes) -> list[GraspCase]:
-    """`grasps` cases of every tissue of the library; each has its own seed."""
+    """Return `grasps` cases of every tissue of the library, each with its own seed."""
     return [
         GraspCase(tissue, seed * 1_000_000 + number * 10_000 + grasp, **changes)
         for number, tissue in enumerate(library.tissues)

@@ -1,4 +1,4 @@
-"""Runs a study's cases on all cores, in order, and says how far it is."""
+"""Run a study's cases on all cores and report progress."""
 
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -10,13 +10,13 @@ from config.errors import GraspwatchError
 
 CaseT = TypeVar("C")
 ResultT = TypeVar("R")
-Progress = Callable[[int, int], None]  # done, of
+Progress = Callable[[int, int], None]  # done, total
 
 
 def run_cases(
     work: Callable[[CaseT], ResultT], cases: Iterable[CaseT], progress: Progress, jobs: int | None = None
 ) -> list[ResultT]:
-    """`work` (a function of a module, it goes to other processes) on each case; results in the cases' order.
+    """Run `work` (a function of a module, for other processes) on each case; return results in the cases' order.
 
     Raises:
         GraspwatchError: a process died.

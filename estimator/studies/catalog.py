@@ -1,4 +1,4 @@
-"""The studies that there are: what each is called, how large it is, and how it is carried out."""
+"""The catalog of studies: name, size and function of each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from estimator.studies.case_runner import Progress
 
-if TYPE_CHECKING:  # they take a second: not before a study is carried out
+if TYPE_CHECKING:  # these imports take a second, so they wait until a study runs
     from estimator.studies.answer_course import StudyConditions
     from estimator.studies.study_report import StudyResult
 
@@ -15,9 +15,10 @@ MAX_GRASPS, MAX_SEEDS = 100_000, 1_000
 
 @dataclass(frozen=True, slots=True)
 class StudyDefinition:
-    """A study. `carry_out(bench, grasps, seed, progress, jobs)` does it; without `jobs` on all cores.
+    """A study. `run(conditions, count, seed, progress, jobs)` runs it; `jobs` None means all cores.
 
-    `usual` and `most` are grasps of each tissue (and of each condition); where there is no bench, seeds.
+    `default_count` and `max_count` are grasps of each tissue (and of each condition), or seeds if the study does not
+    use conditions.
     """
 
     name: str
@@ -26,11 +27,11 @@ class StudyDefinition:
     max_count: int
     run: Callable[["StudyConditions", int, int, Progress, int | None], "StudyResult"]
     uses_conditions: bool = True
-    """Whether it simulates grasps as a `Bench` says; else the bench means nothing to it."""
+    """Whether it simulates grasps under `StudyConditions`; if not, it ignores them."""
     uses_thickness: bool = True
     """Whether thickness at contact can be evidence in it."""
     uses_protocol: bool = True
-    """Whether the bench's protocol is what it plays; else it makes its own."""
+    """Whether it plays the conditions' protocol; if not, it creates its own."""
 
 
 def _run_paper(bench: "StudyConditions", seeds: int, seed: int, progress: Progress, jobs: int | None) -> "StudyResult":
@@ -76,7 +77,7 @@ def _run_estimators(
 ) -> "StudyResult":
     from estimator.studies.estimators import run_estimators_study
 
-    # the other filters know nothing of thickness
+    # the other filters do not use thickness
     return run_estimators_study(replace(bench, thickness=False), grasps, seed, progress, jobs)
 
 

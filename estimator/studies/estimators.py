@@ -1,4 +1,4 @@
-"""`graspwatch study estimators`: ours, the paper's, an unscented and a particle filter on the same grasps."""
+"""`graspwatch study estimators`: compare the bank with the paper's, an unscented and a particle filter."""
 
 import time
 from dataclasses import asdict, dataclass
@@ -33,13 +33,13 @@ class _EstimatorOutcome:
     limit: np.ndarray  # (M,)
     probabilities: np.ndarray  # (estimators, len(TIMES_S), M + 1)
     error: np.ndarray  # (estimators, 3) of log alpha, log beta, log d at the last time
-    cost_us: np.ndarray  # (estimators,) a sample
+    cost_us: np.ndarray  # (estimators,) per sample
 
 
 def run_estimators_study(
     bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
 ) -> StudyResult:
-    """Run the study: `grasps` of each tissue, everyone on the same ones, thickness left out."""
+    """Run the study with `grasps` of each tissue, the same for all estimators, without thickness as evidence."""
     library = load_study_setup(bench).library
     names = [*library.tissues]
     cases = [(bench, case) for case in build_balanced_cases(library, grasps, seed)]
@@ -135,11 +135,11 @@ def _evaluate_case(job: tuple[StudyConditions, GraspCase]) -> _EstimatorOutcome:
 def _run_identifier(
     identifier: TissueIdentifier, lab: StudySetup, bench: StudyConditions, grasp: SimulatedGrasp
 ) -> tuple[list[np.ndarray], np.ndarray, float]:
-    """Probabilities at each time, log parameters at the last, and microseconds a sample, compilation left out."""
+    """Return probabilities at each time, log parameters at the last, and µs per sample without compilation."""
     samples = extract_contact_samples(grasp)
     contact = build_contact_start(samples[0], 0.0, contact_sensed=bench.touch)
     identifier.start(samples[0], contact)
-    identifier.advance(samples[1:6])  # compiled now
+    identifier.advance(samples[1:6])  # compile first
     identifier.start(samples[0], contact)
     probabilities, done, spent_s = [], 1, 0.0
     for at in TIMES_S:

@@ -1,4 +1,4 @@
-"""One self-contained HTML page for studies and reports: no network, light and dark, and fit to be printed on A4."""
+"""A self-contained HTML page for studies and reports: no network, light and dark, printable on A4."""
 
 import html
 import math
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 NO_VALUE = "–"
-# Black marks on a plot turn white where the page is dark; see STYLE.
+# STYLE turns black marks on a plot white on a dark page.
 MARK_COLOR = "#000000"
-# What the page may do. It carries its scripts in itself; a plot can be saved as a picture.
+# The page contains its scripts, and a plot can be saved as a picture.
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 )
@@ -17,7 +17,7 @@ CONTENT_SECURITY_POLICY = (
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of numbers and words; numbers are shown with three significant digits."""
+    """A table of numbers and words; numbers have three significant digits."""
 
     title: str
     columns: list[str]
@@ -27,7 +27,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Markup:
-    """HTML that is known to be sound, for a cell of a table."""
+    """Trusted HTML for a cell of a table."""
 
     text: str
 
@@ -74,7 +74,7 @@ th:first-child, td:first-child, .words { text-align: left }
 
 
 def render_page(title: str, body: str, style: str = "", *, kind: str) -> str:
-    """The whole page; `kind` says what made it, so that a later one knows whether it may overwrite it."""
+    """Return the whole page; `kind` names its generator, so that a later one knows whether it may overwrite it."""
     name = html.escape(title)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="generator" content="{kind}">'
@@ -87,12 +87,12 @@ def render_page(title: str, body: str, style: str = "", *, kind: str) -> str:
 
 
 def render_paragraphs(text: str) -> str:
-    """Text as HTML; an empty line begins a paragraph."""
+    """Render text as HTML; an empty line begins a paragraph."""
     return "".join(f"<p>{html.escape(part)}</p>" for part in text.strip().split("\n\n"))
 
 
 def render_table(content: Table, *, heading: bool = True, level: int = 2) -> str:
-    """A table as HTML, in a box of its own that scrolls where it is too wide. Its title is a heading or a caption."""
+    """Render a table as HTML, in a box that scrolls if it is too wide. Its title is a heading or a caption."""
     name = html.escape(content.title)
     head = render_headings(content.columns, content.rows)
     above = f"<h{level}>{name}</h{level}>" if heading else ""
@@ -105,7 +105,7 @@ def render_table(content: Table, *, heading: bool = True, level: int = 2) -> str
 
 
 def render_headings(columns: list[str], content: list[list[Any]]) -> str:
-    """A table's first row as HTML; words stand to the left, over words."""
+    """Render a table's header row as HTML; headers over words are left-aligned."""
     first = [next((row[k] for row in content if row[k] is not None), None) for k in range(len(columns))]
     return "".join(
         f'<th scope="col"{TEXT_CLASS_ATTRIBUTE if isinstance(value, TEXT_TYPES) else ""}>{html.escape(column)}</th>'
@@ -114,7 +114,7 @@ def render_headings(columns: list[str], content: list[list[Any]]) -> str:
 
 
 def render_rows(content: Iterable[list[Any]]) -> str:
-    """Rows as HTML; the first cell is the row's heading."""
+    """Render rows as HTML; the first cell is the row's heading."""
     return "".join(
         f'<tr><th scope="row">{render_cell(first)}</th>' + "".join(_render_data_cell(value) for value in rest) + "</tr>"
         for first, *rest in content
@@ -126,12 +126,12 @@ def _render_data_cell(value: Any) -> str:
 
 
 def render_cell(value: Any) -> str:
-    """What stands in a cell, as HTML."""
+    """Render a cell's content as HTML."""
     return value.text if isinstance(value, Markup) else html.escape(format_value(value))
 
 
 def format_value(value: Any) -> str:
-    """A value in words: three significant digits, or all before the point; a dash where there is none."""
+    """Format a value with three significant digits, or all before the point; a dash for no value."""
     if value is None:
         return NO_VALUE
     if isinstance(value, float):
@@ -142,7 +142,7 @@ def format_value(value: Any) -> str:
 
 
 def to_json_value(value: Any) -> Any:
-    """Numpy numbers as Python's, what is not finite as None, whatever the nesting."""
+    """Convert numpy numbers to Python's and values that are not finite to None, also in nested containers."""
     if isinstance(value, dict):
         return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

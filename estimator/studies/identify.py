@@ -1,4 +1,4 @@
-"""`graspwatch study identify`: how right, how early and how honest, through the whole sensor chain."""
+"""`graspwatch study identify`: accuracy, speed and calibration of the answers through the whole sensor chain."""
 
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -44,19 +44,19 @@ PARAMETER_NAMES = ("alpha", "beta", "d")
 
 @dataclass(frozen=True, slots=True)
 class _IdentifyOutcome:
-    """What is kept of one grasp."""
+    """Results of one grasp."""
 
     course: ProbabilityHistory
     likelihood_product: np.ndarray  # (len(TIMES_S), M + 1): the paper's bank, plain product of innovation likelihoods
-    criteria: np.ndarray  # (len(TIMES_S),) the guess that the paper's criteria choose
+    criteria: np.ndarray  # (len(TIMES_S),) index of the guess that the paper's criteria choose
     information: np.ndarray  # (4, 4) of the grasp's samples and the tissue's spread; NaN without contact
-    error: np.ndarray  # (3,) ours at the grasp's end; NaN where there is no estimate
+    error: np.ndarray  # (3,) ours at the grasp's end; NaN without an estimate
 
 
 def run_identify_study(
     bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
 ) -> StudyResult:
-    """Run the study: `grasps` of each tissue."""
+    """Run the study with `grasps` of each tissue."""
     library = load_study_setup(bench).library
     outcomes = run_cases(partial(_evaluate_case, bench), build_balanced_cases(library, grasps, seed), progress, jobs)
     names = [*library.tissues]
@@ -127,7 +127,7 @@ def _evaluate_case(bench: StudyConditions, case: GraspCase) -> _IdentifyOutcome:
 def _information(
     bench: StudyConditions, tissue: str, contact: ContactStart, samples: np.ndarray, log_parameters: np.ndarray
 ) -> np.ndarray:
-    """What the samples tell whoever knows which tissue it is, (4, 4): its spread is the prior."""
+    """Return the Fisher information of the samples for a known tissue, with its spread as prior, (4, 4)."""
     lab = load_study_setup(bench)
     priors = TissuePriors.from_library(lab.library)
     k = priors.names.index(tissue)
@@ -153,7 +153,7 @@ def _compute_bayes_limit(bench: StudyConditions, library: TissueLibrary, course:
 
 
 def _build_floor_figures(bench: StudyConditions, ours: dict, limit: float, count: int) -> list[KeyFigure]:
-    """The figures that are to be reached at 2 and at 5 mV."""
+    """Return the figures with targets at 2 and at 5 mV of strain noise."""
     spread = 100 * np.sqrt(limit * (1 - limit) / count)
     note = f"one standard deviation of a share from {count} grasps is {spread:.1f} points"
     behind = {time: 100 * (limit - found.accuracy) for time, found in ours.items()}
@@ -225,7 +225,7 @@ def _build_accuracy_table(outcomes: list[_IdentifyOutcome], ours: dict, truth: n
 def _build_parameter_table(
     study: StudyResult, outcomes: list[_IdentifyOutcome], names: list[str], *, fine: bool
 ) -> Table:
-    """Errors of the parameters beside the bound; adds the floors, which hold for 2 mV, to the study's figures."""
+    """Return the parameters' errors beside the bound, and add figures with targets for 2 mV to the study."""
     rows, all_errors, ratios = [], [], []
     for name in names:
         own = [o for o in outcomes if o.course.case.tissue == name and np.isfinite(o.error).all()]

@@ -1,4 +1,4 @@
-"""`graspwatch study initial`: guesses of alpha and beta that are off by a factor of up to ten, either way."""
+"""`graspwatch study initial`: convergence from initial guesses of alpha and beta wrong by a factor of up to ten."""
 
 from dataclasses import asdict, dataclass
 
@@ -17,9 +17,9 @@ from estimator.tissue_model import force_curve
 
 FACTORS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 MAX_CONVERGENCE_S = 0.3
-STEP_SAMPLES = 5  # samples after which the likeliest filter is chosen anew
+STEP_SAMPLES = 5  # samples between two choices of the likeliest filter
 
-# A guess that may be off by ten either way is a prior as wide as that; a fan of filters covers it, each a part.
+# A guess that may be wrong by a factor of ten is a prior of that width; a fan of filters covers it, each a part.
 LOG_GUESS_OFFSETS = np.log(10.0) * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 GUESS_LOG_SD = np.array([0.6, 0.6, 1.0])  # half of the fan's spacing, and damping within a factor of 2.7
 
@@ -35,7 +35,7 @@ class _Job:
 def run_initial_study(
     bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
 ) -> StudyResult:
-    """Run the study: `grasps` of every tissue from each pair of wrong guesses."""
+    """Run the study with `grasps` of every tissue from each pair of wrong guesses."""
     library = load_study_setup(bench).library
     names = [*library.tissues]
     work = [
@@ -45,9 +45,8 @@ def run_initial_study(
         for b in FACTORS
         for i in range(grasps)
     ]
-    times = np.array(
-        run_cases(_measure_convergence, work, progress, jobs)
-    )  # (jobs, 3): ours, paper's sure, paper's unsure
+    # (jobs, 3): ours, paper's sure, paper's unsure
+    times = np.array(run_cases(_measure_convergence, work, progress, jobs))
     shares = (times <= MAX_CONVERGENCE_S).reshape(len(names), len(FACTORS), len(FACTORS), grasps, 3)
     study = StudyResult(
         "initial",
@@ -82,7 +81,7 @@ def run_initial_study(
 
 
 def _measure_convergence(job: _Job) -> np.ndarray:
-    """Seconds from contact to convergence, (3,): ours, the paper's filter with a small and a large P0; NaN if never."""
+    """Return seconds from contact to convergence, (3,): ours, the paper's with small and large P0; NaN if never."""
     lab = load_study_setup(job.bench)
     samples = extract_contact_samples(
         simulate_grasp(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, job.case)
@@ -111,7 +110,7 @@ def _measure_convergence(job: _Job) -> np.ndarray:
 
 
 def _run_filter_fan(job: _Job, guess: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Elastic force of the likeliest filter of the fan after each sample, N, (n - 1,)."""
+    """Return the elastic force of the fan's likeliest filter after each sample, N, (n - 1,)."""
     lab = load_study_setup(job.bench)
     around = np.array([[a, b, 0.0] for a in LOG_GUESS_OFFSETS for b in LOG_GUESS_OFFSETS])
     names = tuple(f"{i}" for i in range(len(around)))

@@ -1,4 +1,4 @@
-"""`graspwatch study limiter`: is the force held under the limit in force, and does the grasp still hold?"""
+"""`graspwatch study limiter`: whether the limiter keeps the force under the limit while the grasp still holds."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
@@ -19,13 +19,12 @@ from estimator.studies.limiter_measures import LimiterOutcome, measure_outcome
 from estimator.studies.limiter_simulation import LEAD_IN_S, simulate_limited, simulate_unlimited_force
 from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
 
-MAX_BOARD_COMMAND_V = 10.0  # what the board can give: commands up to 5 N by the map need 8.9 V
-MAX_OVER_LIMIT_PERCENT, MAX_OVERSHOOT_PERCENT, MIN_HOLDING_PERCENT = 0.1, 5.0, 99.0  # %
-MIN_HOLD_SHARE = 0.6  # of what is allowed
-OUT_OF_BOUNDS_INTERVAL = 40  # one grasp in so many is played again with each thing that no limiter can know
-EXAMPLE_CASE = LimitedCase(
-    "liver", 1, ThresholdScenario.DEAD, "liver", 0.3, 4.0, 40.0
-)  # the estimator dies within the hold
+MAX_BOARD_COMMAND_V = 10.0  # highest output of the board: commands up to 5 N by the map need 8.9 V
+MAX_OVER_LIMIT_PERCENT, MAX_OVERSHOOT_PERCENT, MIN_HOLDING_PERCENT = 0.1, 5.0, 99.0
+MIN_HOLD_SHARE = 0.6  # share of the allowed force
+OUT_OF_BOUNDS_INTERVAL = 40  # one grasp in so many is repeated with each of OUT_OF_BOUNDS
+# the estimator dies within the hold
+EXAMPLE_CASE = LimitedCase("liver", 1, ThresholdScenario.DEAD, "liver", 0.3, 4.0, 40.0)
 GAIN_RATIO_BANDS = ((0.0, 0.9), (0.9, 1.1), (1.1, 1.3), (1.3, 9.0))
 EXPLANATION = """Each grasp is played twice on the same specimen, with the limiter and without it, by the acquisition
 as it runs live: tissues in turn, the spreads of their specimens once and twice, strain noise once and three times the
@@ -41,7 +40,7 @@ its own."""
 def run_limiter_study(
     bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
 ) -> StudyResult:
-    """Run the study: `grasps` of each tissue."""
+    """Run the study with `grasps` of each tissue."""
     lab = _load_setup(bench)
     cases = draw_cases(lab.library, lab.tool, grasps, seed)
     further = build_out_of_bounds_cases(cases, max(len(cases) // OUT_OF_BOUNDS_INTERVAL, 1))
@@ -254,7 +253,7 @@ def _compute_percent(each: Iterable[bool]) -> float:
 
 
 def _compute_max_excess_percent(peaks: Iterable[float]) -> float:
-    """How far the highest is over the limit, %; 0 where none is."""
+    """Return how far the highest peak is over the limit, %; 0 if none is."""
     return 100 * max(0.0, *(peak - 1.0 for peak in peaks))
 
 

@@ -1,4 +1,4 @@
-"""The grasps of the limiter's study: drawn at random within what is to be held, and beyond it one thing at a time."""
+"""The cases of the limiter's study: at random within the stated bounds, and beyond them one property at a time."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -21,7 +21,7 @@ GRASPS_PER_CASE = 2
 
 
 class ThresholdScenario(StrEnum):
-    """What the limiter is told of the tissue."""
+    """Threshold that the limiter receives."""
 
     RIGHT = "by the estimator"
     LATE = "late, by 80 to 120 ms"
@@ -32,17 +32,17 @@ class ThresholdScenario(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LimitedCase:
-    """One grasp, or several alike.
+    """One grasp, or several equal ones.
 
-    `strength`, `lags` and `deviation` are the truth, of which the limiter knows nothing. `wanted_n` is what
-    the command's peak comes to by the tool's map; `turn_s` after the ramp's start the estimator dies or the threshold
-    falls; `spread`, `noise`, `strength` and `lags` are times the library's and the tool file's.
+    `gain_ratio`, `lag_factor` and `deviation` are the truth, which the limiter does not know. `requested_force_n` is
+    the force of the command's peak by the tool's map. At `change_s` after the ramp's start the estimator dies or the
+    threshold falls. Factors and the gain ratio multiply the values of the library and the tool file.
     """
 
     tissue: str
     seed: int
     scenario: ThresholdScenario
-    reported_tissue: str  # whose threshold is told where it is not the estimator that tells
+    reported_tissue: str  # tissue whose threshold the limiter receives in scenarios without an estimator
     change_s: float
     requested_force_n: float
     ramp_v_per_s: float
@@ -54,7 +54,7 @@ class LimitedCase:
     grasps: int = 1
 
 
-# What no limiter can know in time, or at all: told separately.
+# Properties that no limiter can know in time, or at all; reported separately.
 OUT_OF_BOUNDS = {
     "tool 1.75 times as strong as its map": {"gain_ratio": 1.75},
     "tool twice as strong": {"gain_ratio": 2.0},
@@ -67,7 +67,7 @@ OUT_OF_BOUNDS = {
 
 
 def draw_cases(library: TissueLibrary, tool: Tool, grasps_per_tissue: int, seed: int) -> list[LimitedCase]:
-    """`of_each` grasps of every tissue, over everything at random; ways of being told in turn."""
+    """Draw `grasps_per_tissue` random cases of every tissue, with the scenarios in turn."""
     names, ways = list(library.tissues), list(ThresholdScenario)
     return [
         _draw_case(library, tool, names[i % len(names)], ways[i // len(names) % len(ways)], seed, i)
@@ -76,7 +76,7 @@ def draw_cases(library: TissueLibrary, tool: Tool, grasps_per_tissue: int, seed:
 
 
 def build_out_of_bounds_cases(cases: list[LimitedCase], each: int) -> dict[str, list[LimitedCase]]:
-    """The first `each` cases with one thing beyond what is to be held: two grasps in a row, on fast ramps."""
+    """Return the first `each` cases with one property out of bounds: two grasps in a row, on fast ramps."""
     fast = [
         replace(case, ramp_v_per_s=max(case.ramp_v_per_s, FAST_RAMP_V_PER_S), scenario=ThresholdScenario.WRONG)
         for case in cases[:each]
@@ -114,7 +114,7 @@ def _draw_case(
 def _choose_reported_tissue(
     library: TissueLibrary, tissue: str, told: ThresholdScenario, rng: np.random.Generator
 ) -> str:
-    """One with a higher threshold; the highest where there is none, or where it is to fall."""
+    """Return a tissue with a higher threshold; the one with the highest if there is none, or if it will fall."""
     by_threshold = sorted(library.tissues, key=library.threshold_n)
     higher = [name for name in by_threshold if library.threshold_n(name) > library.threshold_n(tissue)]
     return by_threshold[-1] if told is ThresholdScenario.WITHDRAWN or not higher else str(rng.choice(higher))

@@ -1,4 +1,4 @@
-"""What the limiter's study measures of a grasp. Forces are the true ones at the jaws, not those that the gage tells."""
+"""Measures of the limiter's study. Forces are the true ones at the jaws, not those from the strain gage."""
 
 from dataclasses import dataclass
 
@@ -10,37 +10,35 @@ from config.schema import TissueLibrary, Tool
 from estimator.studies.limiter_cases import HOLD_S, LimitedCase
 from estimator.studies.limiter_simulation import LEAD_IN_S, LimitedRun, build_protocol
 
-SETTLING_TOLERANCE = 0.05  # of what is held in the end
-MIN_SWING_V = 0.05  # a command that turns by less does not chatter: 0.025 N
-EVALUATED_HOLD_S = 0.2  # the end of the protocol's hold
+SETTLING_TOLERANCE = 0.05  # share of the force held in the end
+MIN_SWING_V = 0.05  # a smaller swing of the command, 0.025 N, is no chatter
+EVALUATED_HOLD_S = 0.2  # evaluated end of the protocol's hold
 
 
 @dataclass(frozen=True, slots=True)
 class LimiterOutcome:
-    """What became of a case. `peak` is the highest force as a share of the limit in force.
+    """Measures of one case. Peaks are the highest force as a share of the limit.
 
-    The limit in force is margin × threshold in force, as the limiter was told it; one that falls counts `FOLLOW_S`
-    later, for no force can follow at once.
+    The limit is margin × the threshold that the limiter received. A lower limit counts `THRESHOLD_SETTLING_S` later,
+    because no force can follow at once.
     """
 
     case: LimitedCase
     peak_share: float  # of the first grasp
-    later_peak_share: float  # of those after it; 0 where there is none
+    later_peak_share: float  # of the later grasps; 0 without any
     unlimited_peak_share: float
-    exceeds_threshold: bool  # passes the threshold of the tissue that is held
+    exceeds_threshold: bool  # passes the threshold of the tissue held
     unlimited_exceeds_threshold: bool
     limited: bool
     released: bool  # the first grasp
     released_later: bool
     made_contact: bool
-    allowed_force_share: (
-        float  # at the hold's end, as a share of what is allowed: the limit, or what the command comes to if less
-    )
-    overshoot: float | None  # over what is held; None where the limit changed meanwhile, or nothing was limited
-    settling_s: float | None  # since contact, under the same conditions
+    allowed_force_share: float  # force at the hold's end over the lower of limit and commanded force
+    overshoot: float | None  # over the held force; None if the limit changed or the force was not limited
+    settling_s: float | None  # since contact; None as for the overshoot
     reversals_per_s: float  # of the command at the hold's end
-    fault: str  # why the run was ended before its time
-    over_lowered_limit_s: float | None  # for how long the force was over a limit that fell below it
+    fault: str  # why the run ended early
+    over_lowered_limit_s: float | None  # time that the force needed to fall below a lowered limit
 
 
 def measure_outcome(
@@ -51,7 +49,7 @@ def measure_outcome(
     limited_run: LimitedRun,
     unlimited_force_n: np.ndarray,
 ) -> LimiterOutcome:
-    """What became of a case; `without_n` is its force without the limiter, N, sample by sample."""
+    """Return the measures of a case; `unlimited_force_n` is its force without the limiter, N, sample by sample."""
     rate_hz = tool.board.sample_rate_hz
     limit_n, force_n, samples = margin * limited_run.threshold_n, limited_run.force_n, limited_run.samples
     counts_n = compute_rolling_max(limit_n, round(THRESHOLD_SETTLING_S * rate_hz))
@@ -86,19 +84,19 @@ def measure_outcome(
 
 
 def compute_rolling_max(values: np.ndarray, samples: int) -> np.ndarray:
-    """At each sample the highest of it and of so many before it."""
+    """Return at each sample the maximum of it and of the `samples` before it."""
     padded = np.concatenate([np.full(samples, values[0]), values])
     return np.lib.stride_tricks.sliding_window_view(padded, samples + 1).max(axis=1)
 
 
 def settling_s(force_n: np.ndarray, held_n: float, rate_hz: float) -> float:
-    """Time from the first sample until the force stays within `SETTLED` of what is held."""
+    """Return the time from the first sample until the force stays within `SETTLING_TOLERANCE` of the held force."""
     off = np.flatnonzero(np.abs(force_n - held_n) > SETTLING_TOLERANCE * held_n)
     return (int(off[-1]) + 1 if len(off) else 0) / rate_hz
 
 
 def compute_time_over_lowered_limit_s(force_n: np.ndarray, limit_n: np.ndarray, rate_hz: float) -> float | None:
-    """Time from the first fall of the limit below the force until the force is below it; None where there is none."""
+    """Return how long the force stays over the limit after the limit first falls below it, s; None if it never does."""
     falls = np.flatnonzero((np.diff(limit_n) < 0) & (force_n[1:] > limit_n[1:])) + 1
     if not len(falls):
         return None
@@ -108,7 +106,7 @@ def compute_time_over_lowered_limit_s(force_n: np.ndarray, limit_n: np.ndarray, 
 
 
 def count_reversals(command_v: np.ndarray) -> int:
-    """How often the command turns, swings below `SWING_V` left out."""
+    """Count the reversals of the command, without swings below `MIN_SWING_V`."""
     turns, direction, extreme = 0, 0.0, float(command_v[0])
     for value in command_v.tolist():
         swing = value - extreme

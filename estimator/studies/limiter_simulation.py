@@ -1,4 +1,4 @@
-"""Simulated grasps with the acquisition in the loop: the command depends on the force that is felt, as in a run."""
+"""Simulate grasps with the acquisition in the loop: the command depends on the measured force, as in a run."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -22,14 +22,12 @@ from estimator.studies.limiter_cases import HOLD_S, LimitedCase, ThresholdScenar
 from estimator.worker import to_threshold_update
 
 LEAD_IN_S, RAMP_DOWN_S, REST_S = 0.25, 0.1, 0.2
-SCRIPTED_DELAY_S = (
-    0.06  # after contact, where the study itself says what is told: as early as the estimator names a tissue
-)
-DELAY_RANGE_BLOCKS = (16, 25)  # 80 to 120 ms, around the time after which the limiter believes nothing any more
+SCRIPTED_DELAY_S = 0.06  # from contact to a scripted threshold: as early as the estimator names a tissue
+DELAY_RANGE_BLOCKS = (16, 25)  # 80 to 120 ms, around the time after which a threshold expires
 
 
 class GrasperSource:
-    """A simulated grasper as a source without a board between; a command holds from the next sample on, as there."""
+    """A simulated grasper as a source without a board. As on a board, a command acts from the next sample on."""
 
     def __init__(self, grasper: SimulatedGrasper, block_samples: int) -> None:
         self._grasper, self._block_samples = grasper, block_samples
@@ -61,13 +59,12 @@ class GrasperSource:
 
 @dataclass(frozen=True, slots=True)
 class LimitedRun:
-    """A played case, sample by sample: conditioned samples of dtype SAMPLE, the true force at the jaws, and the injury
-    threshold in force as the limiter was told it."""
+    """A simulated case: conditioned samples of dtype SAMPLE, the true jaw force and the limiter's threshold, N."""
 
     samples: np.ndarray
     force_n: np.ndarray
     threshold_n: np.ndarray
-    fault: str = ""  # why the run was ended before its time, with the motor at zero for the rest of it
+    fault: str = ""  # why the run ended early, with the motor at zero afterwards
 
 
 def build_protocol(case: LimitedCase, tool: Tool) -> GraspProtocol:
@@ -84,7 +81,7 @@ def build_protocol(case: LimitedCase, tool: Tool) -> GraspProtocol:
 
 
 def build_true_tool(case: LimitedCase, tool: Tool) -> Tool:
-    """The tool as it is, while its file says `tool`."""
+    """Return the simulated tool's true properties, which differ from the tool file `tool`."""
     assert tool.simulation is not None
     mapping = tool.command_to_force
     force_n = tuple(case.gain_ratio * force_n for force_n in mapping.force_n)
@@ -100,7 +97,7 @@ def build_true_tool(case: LimitedCase, tool: Tool) -> Tool:
 
 
 def simulate_limited(case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings) -> LimitedRun:
-    """Play the case on a new grasper with the acquisition and its limiter, and the estimator where the case asks it."""
+    """Play the case on a new grasper with acquisition and limiter, and with the estimator if the scenario needs it."""
     source = GrasperSource(_create_grasper(case, tool, library), tool.board.block_samples)
     hold_back = ForceLimiter(tool, library, settings.limiter)
     acquisition = AcquisitionController(source, tool, settings.conditioning, hold_back, Safety.ARMED)
@@ -124,7 +121,7 @@ def simulate_limited(case: LimitedCase, tool: Tool, library: TissueLibrary, sett
 
 
 def simulate_unlimited_force(case: LimitedCase, tool: Tool, library: TissueLibrary) -> np.ndarray:
-    """The true force of the same case where the motor gets what the protocol asks for, N, sample by sample."""
+    """Return the true jaw force of a case without the limiter, N, sample by sample."""
     source = GrasperSource(_create_grasper(case, tool, library), tool.board.block_samples)
     player = ProtocolPlayer(build_protocol(case, tool), tool, case.grasps)
     while not player.done:
@@ -138,7 +135,7 @@ def _create_grasper(case: LimitedCase, tool: Tool, library: TissueLibrary) -> Si
 
 
 class ThresholdFeed:
-    """What reaches the limiter after each block."""
+    """Thresholds that reach the limiter after each block."""
 
     def __init__(self, case: LimitedCase, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
         self._case, self._library = case, library
@@ -146,11 +143,11 @@ class ThresholdFeed:
         self._change_tick = (LEAD_IN_S + case.change_s) * self._rate_hz
         estimated = case.scenario in (ThresholdScenario.RIGHT, ThresholdScenario.LATE, ThresholdScenario.DEAD)
         self._estimator = TissueEstimator(tool, library, settings) if estimated else None
-        self._in_transit: deque[tuple[int, ThresholdUpdate]] = deque()  # when it arrives, and what
+        self._in_transit: deque[tuple[int, ThresholdUpdate]] = deque()  # with tick of arrival
         self._rng = np.random.default_rng([case.seed, 3])
 
     def pop_arrived(self, block: SampleBlock) -> list[ThresholdUpdate]:
-        """The limits that arrive right after this block."""
+        """Return the thresholds that arrive right after this block."""
         last = block.samples[-1]
         tick = int(last["tick"])
         if self._estimator is None:
@@ -161,7 +158,7 @@ class ThresholdFeed:
         if self._case.scenario is not ThresholdScenario.LATE:
             return [limit]
         delay = len(block.samples) * int(self._rng.integers(*DELAY_RANGE_BLOCKS))
-        arrives = max(tick + delay, self._in_transit[-1][0] if self._in_transit else 0)  # none passes another
+        arrives = max(tick + delay, self._in_transit[-1][0] if self._in_transit else 0)  # in order
         self._in_transit.append((arrives, limit))
         arrived = []
         while self._in_transit and self._in_transit[0][0] <= tick:

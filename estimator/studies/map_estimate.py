@@ -1,8 +1,8 @@
-"""The best that a grasp's samples say of its parameters, once they are all there: maximum a posteriori.
+"""Maximum a posteriori estimate of a grasp's parameters from all of its samples.
 
-An extended filter that learns as it goes takes noise in the velocity for a reason to change the damping. Here the
-parameters stay fixed while a filter follows displacement, velocity, offset and strain noise; its innovations, their
-variances and their slopes give one Gauss-Newton step for the parameters after the other.
+An extended filter that learns sample by sample changes the damping because of noise in the velocity. Here the
+parameters stay fixed while a filter estimates displacement, velocity, offset and strain noise. Its innovations, their
+variances and slopes give Gauss-Newton steps for the parameters.
 """
 
 from dataclasses import dataclass
@@ -27,14 +27,14 @@ from estimator.kalman_filter import (
 )
 
 ITERATIONS = 8
-DIFFERENCE_STEP = 1e-4  # of a log parameter, for slopes
-MAX_STEP = 1.0  # of a log parameter in one iteration
+DIFFERENCE_STEP = 1e-4  # step of a log parameter for slopes
+MAX_STEP = 1.0  # largest change of a log parameter in one iteration
 STEP_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class PosteriorProblem:
-    """A grasp's samples, (n, 5) as the bank takes them, and how filter `k` of a bank began it."""
+    """A grasp's samples, (n, 5) as in `FilterBank.advance`, and a filter's state at its start."""
 
     mean: np.ndarray  # (9,)
     cov: np.ndarray  # (9, 9)
@@ -43,24 +43,24 @@ class PosteriorProblem:
 
     @classmethod
     def from_bank(cls, bank: FilterBank, k: int, samples: np.ndarray) -> "PosteriorProblem":
-        """Of the grasp that the bank was started with; `samples`, (n, 5), begin with the first in contact."""
+        """Create the problem for filter `k` of a started bank; `samples`, (n, 5), begin with the first in contact."""
         mean, cov, noise = bank.initial_state(k)
         return cls(mean, cov, samples, noise)
 
     @property
     def prior_var(self) -> np.ndarray:
-        """Of log alpha, log beta, log d, log m, (4,); 0 where known."""
+        """Prior variance of log alpha, log beta, log d, log m, (4,); 0 for a known parameter."""
         return np.diag(self.cov)[PARAMETERS_AND_MASS].copy()
 
     def innovations(self, log_parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Innovations, m, and their variances, m², of a filter that holds these four for true."""
+        """Return innovations, m, and their variances, m², of a filter with these parameters, (4,), fixed."""
         mean, cov = self.mean.copy(), self.cov.copy()
         mean[PARAMETERS_AND_MASS] = log_parameters
         cov[PARAMETERS_AND_MASS, :], cov[:, PARAMETERS_AND_MASS] = 0.0, 0.0
         return _innovations(mean, cov, self.samples, self.noise)
 
     def compute_gradient_and_information(self, log_parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the negative log posterior: its gradient, (4,), and Fisher information, (4, 4); 0 for what is known."""
+        """Return the negative log posterior's gradient, (4,), and Fisher information, (4, 4); 0 for known ones."""
         found, variance = self.innovations(log_parameters)
         slopes, log_slopes = np.zeros((4, len(found))), np.zeros((4, len(found)))
         prior = self.prior_var
@@ -79,7 +79,7 @@ class PosteriorProblem:
         return gradient, scaled @ scaled.T + 0.5 * log_slopes @ log_slopes.T + np.diag(inverse)
 
     def cost(self, log_parameters: np.ndarray) -> float:
-        """Negative log posterior but for a constant; infinite where the filter fails."""
+        """Return the negative log posterior up to a constant; infinite if the filter fails."""
         found, variance = self.innovations(log_parameters)
         prior = self.prior_var
         off = (log_parameters - self.mean[PARAMETERS_AND_MASS])[prior > 0] ** 2 / prior[prior > 0]
@@ -88,9 +88,9 @@ class PosteriorProblem:
 
 
 def maximize_posterior(problem: PosteriorProblem, log_parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """log alpha, log beta, log d, log m that are likeliest, and their standard deviations, (4,) each.
+    """Return the likeliest log alpha, log beta, log d, log m, (4,), and their standard deviations, (4,).
 
-    `log_parameters`: where to begin, (4,).
+    `log_parameters`: start of the search, (4,).
     """
     at, cost = log_parameters.copy(), problem.cost(log_parameters)
     free = problem.prior_var > 0
@@ -110,9 +110,9 @@ def maximize_posterior(problem: PosteriorProblem, log_parameters: np.ndarray) ->
 
 
 def log_evidence(problem: PosteriorProblem, log_parameters: np.ndarray) -> float:
-    """Laplace's approximation of the log probability of the samples under the question's prior.
+    """Return Laplace's approximation of the samples' log probability under the problem's prior.
 
-    `log_parameters`: where to begin to look for the likeliest, (4,).
+    `log_parameters`: start of the search for the likeliest parameters, (4,).
     """
     at, _ = maximize_posterior(problem, log_parameters)
     _, information = problem.compute_gradient_and_information(at)
@@ -122,10 +122,10 @@ def log_evidence(problem: PosteriorProblem, log_parameters: np.ndarray) -> float
 
 
 def compute_cramer_rao_bound(information: np.ndarray) -> np.ndarray:
-    """The Bayesian Cramér-Rao bound (van Trees): least SD of log alpha, log beta, log d, and of log alpha + log beta.
+    """Return the Bayesian Cramér-Rao bound (van Trees): least SD of log alpha, beta, d, and alpha times beta, (4,).
 
-    `information`: of `Question.gradient` at the truth, the prior's included, (4, 4), averaged over many grasps. Noise
-    and guesses count as Gaussian ones of their variance.
+    `information`: from `PosteriorProblem.compute_gradient_and_information` at the truth, (4, 4), averaged over many
+    grasps. Noise and guesses count as Gaussian with their variance.
     """
     free = np.diag(information) > 0
     cov = np.zeros((4, 4))
@@ -142,7 +142,7 @@ def _compute_standard_deviations(information: np.ndarray, free: np.ndarray) -> n
 
 @compiled
 def _innovations(mean, cov, samples, noise):
-    """Innovations and their variances, (n - 1,) each, of a filter whose parameters stay as they are."""
+    """Return innovations and their variances, (n - 1,) each, of a filter with fixed parameters."""
     n = len(samples) - 1
     found, variances = np.empty(n), np.empty(n)
     step, rows, gain = np.empty((2, 4)), np.empty((2, STATE_COUNT)), np.empty(STATE_COUNT)

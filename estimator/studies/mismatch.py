@@ -1,4 +1,4 @@
-"""`graspwatch study mismatch`: truth and sensors that differ from the model: less sure, not wrong."""
+"""`graspwatch study mismatch`: the answers' accuracy and calibration if tissue or sensors differ from the model."""
 
 from dataclasses import asdict, replace
 
@@ -24,7 +24,7 @@ MAX_POINTS_BEHIND, MAX_CALIBRATION_ERROR = 10.0, 0.10
 def run_mismatch_study(
     bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
 ) -> StudyResult:
-    """Run the study: `grasps` of each tissue with each mismatch, the same specimens every time."""
+    """Run the study with `grasps` of each tissue with each mismatch, on the same specimens every time."""
     library = load_study_setup(bench).library
     names = [*library.tissues]
     kinds = [*MISMATCHES, CONTACT_NOT_SENSED]

@@ -1,4 +1,4 @@
-"""What the studies put between the jaws besides the library's tissues, and how truth differs from the model."""
+"""Things outside the library that the studies grasp, and deviations of the truth from the model."""
 
 from acquisition.simulation.tissue import ModelDeviation
 from config.load import load_library
@@ -7,9 +7,8 @@ OUT_OF_LIBRARY = load_library("strangers")
 
 FOAM_DEVIATION = ModelDeviation(plateau_n=0.6, plateau_m=4e-4)
 DEVIATION_BY_TISSUE = {"foam": FOAM_DEVIATION}
-SLIPPING_DEVIATION = ModelDeviation(
-    slips_after_s=0.08, slips_within_s=0.3
-)  # of a tissue of the library: it slides out of the jaws
+# of a tissue of the library that slides out of the jaws
+SLIPPING_DEVIATION = ModelDeviation(slips_after_s=0.08, slips_within_s=0.3)
 
 MISMATCHES = {
     "matched": ModelDeviation(),

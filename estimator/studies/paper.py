@@ -35,11 +35,11 @@ PARAMETER_NAMES = ("alpha", "beta", "d")
 
 @dataclass(frozen=True, slots=True)
 class _PaperOutcome:
-    """One tissue, one seed."""
+    """Results of one tissue and one seed."""
 
     tissue: int
-    ours: np.ndarray  # (3,) log alpha, log beta, log d at the end, refined
-    running_filter: np.ndarray  # (3,) the same as the running filter has them
+    ours: np.ndarray  # (3,) log alpha, log beta, log d at the end, by maximum a posteriori
+    running_filter: np.ndarray  # (3,) the same from the running filter
     information: np.ndarray  # (4, 4) of all samples and the guesses' scatter, at the truth
     printed: np.ndarray  # (3,) alpha, beta, d of the paper's scheme at the end
     convergence_s: tuple[float, float, float, float]  # ours, paper's; ours with damping; the truth's elastic force
@@ -50,7 +50,7 @@ class _PaperOutcome:
 
 
 def run_paper_study(seeds: int, seed: int, progress: Progress, jobs: int | None = None) -> StudyResult:
-    """Run the study: as many noises and guesses as `seeds`, from `seed` on."""
+    """Run the study with `seeds` draws of noise and guesses, from `seed` on."""
     library = load_library("paper_table2")
     names = [*library.tissues]
     cases = [(name, one) for name in names for one in range(seed, seed + seeds)]
@@ -132,7 +132,10 @@ def _compute_elastic_force(mean: np.ndarray) -> np.ndarray:
 
 
 def _run_blind(library: TissueLibrary, run: SineRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """From every tissue's guess: convergence and mean force error, ours and the paper's; and our probabilities."""
+    """Return convergence and mean force error from every tissue's guess, ours and the paper's, and our probabilities.
+
+    The first two have shape (M, 2), the probabilities (M + 1,).
+    """
     settings, priors = load_settings(), TissuePriors.from_library(library)
     bank = build_filter_bank(priors, run, widening=2.0)
     contact, samples = build_bank_inputs(run)
@@ -154,7 +157,7 @@ def _run_blind(library: TissueLibrary, run: SineRun) -> tuple[np.ndarray, np.nda
 
 
 def _compute_probabilities(library: TissueLibrary, run: SineRun, bank: FilterBank) -> np.ndarray:
-    """Probabilities of the tissues and of unknown, (M + 1,): all samples under each one's prior, by Laplace."""
+    """Return probabilities of the tissues and of `unknown`, (M + 1,), from the Laplace evidence under each prior."""
     settings, priors = load_settings().identification, bank.priors
     begin = bank.state.mean[bank.find_most_likely(), PARAMETERS_AND_MASS]
     unknown = priors.mean.mean(axis=0), np.full(3, settings.unknown_spread_log)
@@ -169,7 +172,7 @@ def _compute_probabilities(library: TissueLibrary, run: SineRun, bank: FilterBan
 
 
 def _mean(values: np.ndarray) -> float:
-    """NaN where the filter diverged within the run."""
+    """Return the mean; NaN if the filter diverged within the run."""
     return float(values.mean())
 
 
@@ -273,9 +276,8 @@ def _mean_or_none(values: np.ndarray) -> float | None:
 
 def _table_5(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> list[Table]:
     names = [*library.tissues]
-    times = np.array(
-        [[o.blind_convergence_s for o in outcomes] for outcomes in by_tissue]
-    )  # tissue, seed, guess, scheme
+    # axes: tissue, seed, guess, scheme
+    times = np.array([[o.blind_convergence_s for o in outcomes] for outcomes in by_tissue])
     errors = np.array([[o.blind_error_n for o in outcomes] for outcomes in by_tissue])
     rows, error_rows = [], []
     for g, guess in enumerate(names):
@@ -319,7 +321,7 @@ def _table_5(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> li
 
 
 def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
-    """Liver's states over time, and its forces, as in Figure 4: one seed."""
+    """Plot liver's states and forces over time for one seed, as in Figure 4."""
     name = "liver"
     profile, settings = library.tissues[name], load_settings()
     run, guess = simulate_sine(profile, library.mass_kg, seed), draw_guesses(profile, seed)

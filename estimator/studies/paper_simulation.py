@@ -1,4 +1,4 @@
-"""The paper's simulation: tissues as printed in Table II under a raised cosine of force, with noise on both signals."""
+"""The paper's simulation: tissues as printed in Table II under a raised cosine of force, with noisy signals."""
 
 from dataclasses import dataclass
 
@@ -17,16 +17,16 @@ from estimator.studies.map_estimate import PosteriorProblem
 from estimator.tissue_model import elastic_force, step_matrices, tangent_stiffness
 
 RATE_HZ = 1000.0
-NOISE_SHARE = 0.025  # half the width of the uniform noise, of each signal's peak
-ERROR_SHARE = 0.15  # of the largest force: the paper's bound of convergence
-GUESS_FACTOR = 2.0  # guesses are off by up to this factor, evenly in the logarithm
-FORCE_CURVATURE_N2_PER_S3 = 400.0  # 1 N at 4 Hz bends by up to 632 N/s²: that squared, a sample
+NOISE_SHARE = 0.025  # half the width of the uniform noise, as a share of each signal's peak
+ERROR_SHARE = 0.15  # share of the largest force: the paper's bound of convergence
+GUESS_FACTOR = 2.0  # guesses are wrong by up to this factor, uniformly in the logarithm
+FORCE_CURVATURE_N2_PER_S3 = 400.0  # second derivative of 1 N at 4 Hz, up to 632 N/s², squared, times a sample's 1 ms
 GUESS_LOG_SD = np.log(GUESS_FACTOR) / np.sqrt(3)
 
 
 @dataclass(frozen=True, slots=True)
 class SineRun:
-    """Noisy force N and displacement m, (n,) each, their exact counterparts, and the noise's standard deviations."""
+    """Noisy and exact force N and displacement m, (n,) each, and the noise's standard deviations."""
 
     force_n: np.ndarray
     displacement_m: np.ndarray
@@ -42,12 +42,12 @@ class SineRun:
 
 
 def compute_log_parameters(profile: TissueProfile) -> np.ndarray:
-    """log alpha, log beta, log d, (3,)."""
+    """Return log alpha, log beta, log d, (3,)."""
     return np.log([profile.alpha_n, profile.beta_per_m, profile.damping_kg_per_s])
 
 
 def simulate_sine(profile: TissueProfile, mass_kg: float, seed: int) -> SineRun:
-    """The protocol `sine` as force on the tissue itself: no tool, no kinematics."""
+    """Simulate the protocol `sine` as force on the tissue itself, without tool and kinematics."""
     waveform = load_protocol("sine").waveform
     assert isinstance(waveform, SineWaveform)
     time_s = np.arange(round(waveform.grasp_s * RATE_HZ)) / RATE_HZ
@@ -74,13 +74,13 @@ def simulate_sine(profile: TissueProfile, mass_kg: float, seed: int) -> SineRun:
 
 
 def draw_guesses(profile: TissueProfile, seed: int) -> np.ndarray:
-    """Wrong guesses of alpha, beta and d, (3,): each off by up to a factor of two either way."""
+    """Draw wrong guesses of alpha, beta and d, (3,), each within a factor of two of the truth."""
     off = np.random.default_rng([seed, 4]).uniform(-1, 1, 3) * np.log(GUESS_FACTOR)
     return np.exp(compute_log_parameters(profile) + off)
 
 
 def build_filter_noise(run: SineRun) -> FilterNoise:
-    """This noise as our filters are told of it: independent on force and displacement, the tissue exactly Eq. (7)."""
+    """Return our filters' noise model of a run: independent noise on force and displacement, tissue exactly Eq. (7)."""
     return FilterNoise(
         strain_var=run.force_sd_n**2,
         force_var=1e-8,
@@ -95,19 +95,26 @@ def build_filter_noise(run: SineRun) -> FilterNoise:
 
 
 def build_filter_bank(priors: TissuePriors, run: SineRun, widening: float = 1.0) -> FilterBank:
-    """Our filters on a run; the mass is known."""
+    """Create our filters for a run; the mass is known."""
     return FilterBank(priors, (FilterTuning(build_filter_noise(run), 0.0),), widening)
 
 
 def build_bank_inputs(run: SineRun) -> tuple[ContactStart, np.ndarray]:
-    """How the run starts for our filters, and its samples after the first, (n, 5): a newton of force noise a 'volt'."""
+    """Return the start of a run for our filters, and its samples after the first, (n, 5).
+
+    Its force noise takes the place of the strain noise: 1 N per "volt".
+    """
     ones, zeros = np.ones(len(run.force_n)), np.zeros(len(run.force_n))
     samples = np.column_stack([run.force_n, run.displacement_m - run.displacement_m[0], ones, zeros, ones / RATE_HZ])
     return ContactStart(samples[0], initial_compression_m=0.0, initial_compression_sd_m=1e-12), samples[1:]
 
 
 def run_paper_filters(run: SineRun, guess: np.ndarray, mass_kg: float, conditioning: ConditioningSettings):
-    """The paper's filters from guesses (K, 3) on the 10 Hz signals: means (n, K, 5), elastic forces (n, K), force."""
+    """Run the paper's filters from guesses (K, 3) on the 10 Hz signals.
+
+    Returns:
+        Means (n, K, 5), elastic forces (n, K) and filtered force (n,).
+    """
     force_n, displacement_m = LowPassFilter(conditioning, RATE_HZ)(np.stack([run.force_n, run.displacement_m]))
     share = compute_noise_share(conditioning)
     noise = PaperNoise(share * run.force_sd_n, share * run.displacement_sd_m)
@@ -118,26 +125,26 @@ def run_paper_filters(run: SineRun, guess: np.ndarray, mass_kg: float, condition
 
 
 def compute_noise_share(conditioning: ConditioningSettings) -> float:
-    """Share of white noise that the low-pass lets through: its noise bandwidth is 1.11 times the cut-off."""
+    """Return the share of white noise after the low-pass; its noise bandwidth is 1.11 times the cut-off."""
     return float(np.sqrt(2 * 1.11 * conditioning.butterworth_cutoff_hz / RATE_HZ))
 
 
 def convergence_s(elastic_n: np.ndarray, force_n: np.ndarray, bound_n: float) -> float:
-    """Latest moment after which the elastic force stays within the bound of the force, s; NaN if it does not."""
+    """Return the time from which the elastic force stays within the bound of the force, s; NaN if it does not."""
     return float(convergence_samples((elastic_n - force_n)[:, None], bound_n)[0]) / RATE_HZ
 
 
 class TwoSignalProblem(PosteriorProblem):
-    """A run's force and displacement as two measurements of one motion: noise of the force is no motion of the tissue.
+    """A run's force and displacement as two independent measurements of one motion.
 
-    Our live filters take the force as it is measured, which is right on a grasper, where displacement betrays the
-    strain gage's noise sample by sample. Here both noises are independent, and a filter that took the force's noise for
-    force would find a larger damping that quiets it. So the force is a state that bends as smoothly as the protocol's.
+    The live filters take the measured force as input. That is right on a grasper, where the displacement shows the
+    strain gage's noise sample by sample. Here both noises are independent. A filter that took the force's noise for
+    force would find too large a damping. So the force is a state, as smooth as the protocol's.
     """
 
     @classmethod
     def from_run(cls, run: SineRun, log_prior: np.ndarray, log_sd: np.ndarray, mass_kg: float) -> "TwoSignalProblem":
-        """With a prior of log alpha, log beta and log d, mean and SD, (3,) each; the mass is known."""
+        """Create the problem from mean and SD of log alpha, log beta and log d, (3,) each; the mass is known."""
         mean, cov = np.zeros(STATE_COUNT), np.zeros((STATE_COUNT, STATE_COUNT))
         mean[PARAMETERS_AND_MASS] = [*log_prior, np.log(mass_kg)]
         cov[PARAMETERS, PARAMETERS] = np.diag(log_sd**2)
@@ -151,7 +158,7 @@ class TwoSignalProblem(PosteriorProblem):
 
 @compiled
 def _compute_two_signal_innovations(parameters, samples, noise, bend):
-    """Innovations and variances of force and displacement in turn, (2 n,) each; state: x, x', force, its rate."""
+    """Return innovations and variances of force and displacement in turn, (2 n,) each; state: x, x', force, rate."""
     alpha, beta, damping, mass = parameters
     dt = 1.0 / RATE_HZ
     found, variances = np.empty(2 * len(samples)), np.empty(2 * len(samples))

@@ -1,4 +1,4 @@
-"""What the paper printed of its tables, in the order liver, small bowel, bladder, gallbladder."""
+"""The paper's tables as printed, in the order liver, small bowel, bladder, gallbladder."""
 
 TISSUES = ("liver", "small_bowel", "bladder", "gallbladder")
 TABLE_3 = {
@@ -17,7 +17,7 @@ TABLE_5_S = (
 # In vivo, 271, 155, 173 and 112 grasps: convergence time s and force error N, each as max, mean, min
 TABLE_6_S = ((0.727, 0.257, 0.029), (0.768, 0.292, 0.029), (2.419, 0.309, 0.033), (0.714, 0.253, 0.073))
 TABLE_6_N = ((0.679, -0.273, -5.304), (0.470, -0.276, -1.953), (0.965, 0.175, -0.922), (0.668, -0.177, -9.325))
-# Means in vivo. alpha of all but bladder is read in mN, beta per unit strain, as in Table II.
+# Means in vivo: alpha in mN except for the bladder, beta per unit strain, as in Table II.
 TABLE_7 = {
     "alpha": (757.808, 459.157, 0.004, 336.186),
     "beta": (5.758, 4.321, 16.956, 6.411),

@@ -1,4 +1,4 @@
-"""What the studies measure of probabilities: accuracy, calibration, confident errors, and the Bayes limit."""
+"""Scores of probabilities: accuracy, calibration, confident errors, and the Bayes limit."""
 
 import math
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ BIN_COUNT = 10
 
 
 def bayes_limit(library: TissueLibrary, log_parameters: np.ndarray, thickness_m: float | None) -> np.ndarray:
-    """Probabilities, (M,), of somebody who knows a specimen's exact parameters, from the library's spreads alone.
+    """Return the probabilities, (M,), given a specimen's exact parameters, from the library's spreads alone.
 
-    `log_parameters`: log alpha, log beta, log d. `thickness_m`: None where the tool does not tell it.
+    `log_parameters`: log alpha, log beta, log d, (3,). `thickness_m`: None if the tool does not measure it.
     """
     used = 3 if thickness_m is None else 4
     seen = np.append(log_parameters, math.log(thickness_m or 1.0))
@@ -30,17 +30,17 @@ def bayes_limit(library: TissueLibrary, log_parameters: np.ndarray, thickness_m:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How right, how honest and how sure a set of answers is."""
+    """Accuracy, calibration and confidence of a set of answers."""
 
-    accuracy: float  # share in which the likeliest answer is the right one
-    calibration_error: float  # expected: mean gap between confidence and share right
-    confident_wrong: float  # share that is sure (at least 0.95) and wrong
-    confident: float  # share that is sure
+    accuracy: float  # share of answers whose likeliest tissue is right
+    calibration_error: float  # expected calibration error
+    confident_wrong: float  # share of answers with a probability of at least 0.95 that are wrong
+    confident: float  # share of answers with a probability of at least 0.95
     log_loss: float  # mean negative log probability of the truth
 
 
 def score_answers(probabilities: np.ndarray, truth: np.ndarray) -> Score:
-    """`probabilities` (n, M + 1), `truth` (n,) index of the right answer."""
+    """Score `probabilities`, (n, M + 1), against `truth`, (n,), the index of the right answer."""
     confidence, right = probabilities.max(axis=1), probabilities.argmax(axis=1) == truth
     of_truth = probabilities[np.arange(len(truth)), truth]
     return Score(
@@ -53,7 +53,7 @@ def score_answers(probabilities: np.ndarray, truth: np.ndarray) -> Score:
 
 
 def compute_reliability(confidence: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For ten equal bins of confidence: mean confidence, share right, number; NaN where a bin is empty."""
+    """Return mean confidence, share right and number for ten equal bins of confidence; NaN for an empty bin."""
     which = np.minimum((confidence * BIN_COUNT).astype(int), BIN_COUNT - 1)
     number = np.bincount(which, minlength=BIN_COUNT)
     with np.errstate(invalid="ignore"):
@@ -63,14 +63,14 @@ def compute_reliability(confidence: np.ndarray, right: np.ndarray) -> tuple[np.n
 
 
 def calibration_error(confidence: np.ndarray, right: np.ndarray) -> float:
-    """Expected calibration error over ten equal bins."""
+    """Return the expected calibration error over ten equal bins."""
     mean, share, number = compute_reliability(confidence, right)
     filled = number > 0
     return float(np.sum(number[filled] * np.abs(mean - share)[filled]) / len(confidence))
 
 
 def compute_confusion_matrix(probabilities: np.ndarray, truth: np.ndarray, answers: int) -> np.ndarray:
-    """Share of each truth (rows) that gets each answer (columns)."""
+    """Return the share of each truth (rows) that gets each answer (columns)."""
     table = np.zeros((int(truth.max()) + 1, answers))
     np.add.at(table, (truth, probabilities.argmax(axis=1)), 1.0)
     return table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)

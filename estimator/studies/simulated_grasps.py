@@ -1,4 +1,4 @@
-"""Simulated grasps for the studies: specimen, sensors, calibration and conditioning as in a run, one grasp a call."""
+"""Simulate grasps for the studies, with specimen, sensors, calibration and conditioning as in a run."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation, Specimen
 from config.schema import ConditioningSettings, GraspProtocol, TissueLibrary, Tool
 from estimator.constants import JAW_OPENING_SHARE, MIN_PEAK_BEFORE_OPENING_N
 
-FORCE_CONTACT_RISE_V = 0.02  # as the shipped tools without trusted touch sensors
+FORCE_CONTACT_RISE_V = 0.02  # as in the shipped tools without trusted touch sensors
 FORCE_MEAN_SAMPLES = 5
 
 
@@ -23,12 +23,12 @@ class GraspCase:
     tissue: str
     seed: int
     deviation: ModelDeviation = NO_DEVIATION
-    tissue_library: TissueLibrary | None = None  # where `tissue` is from, if not from the library
+    tissue_library: TissueLibrary | None = None  # library of `tissue`, if not the study's
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedGrasp:
-    """A simulated grasp: conditioned samples of dtype SAMPLE, and what was held."""
+    """A simulated grasp: conditioned samples of dtype SAMPLE, and the specimen held."""
 
     samples: np.ndarray
     specimen: Specimen
@@ -37,7 +37,7 @@ class SimulatedGrasp:
 def simulate_grasp(
     tool: Tool, library: TissueLibrary, conditioning: ConditioningSettings, protocol: GraspProtocol, case: GraspCase
 ) -> SimulatedGrasp:
-    """Play one cycle of `protocol` on the simulated grasper and condition what its sensors give."""
+    """Play one cycle of `protocol` on the simulated grasper and condition its sensors' samples."""
     block = tool.board.block_samples
     player = ProtocolPlayer(protocol, tool, 1)
     commands: list[float] = []
@@ -50,7 +50,7 @@ def simulate_grasp(
 
 
 def extract_contact_samples(grasp: SimulatedGrasp) -> np.ndarray:
-    """The samples from first contact until the jaws let go, as the estimator learns from them."""
+    """Return the samples from first contact until the jaws open, as the estimator learns from them."""
     samples = grasp.samples
     held = np.flatnonzero(samples["contact_tick"] >= 0)
     begin = int(np.searchsorted(samples["tick"], samples["contact_tick"][held[0]]))
@@ -62,11 +62,11 @@ def extract_contact_samples(grasp: SimulatedGrasp) -> np.ndarray:
 
 
 def with_noise(tool: Tool, strain_sd_v: float) -> Tool:
-    """The tool with another strain noise, known to the estimator."""
+    """Return the tool with another strain noise, which the estimator knows."""
     return tool.model_copy(update={"noise": tool.noise.model_copy(update={"strain_sd_v": strain_sd_v})})
 
 
 def without_touch(tool: Tool) -> Tool:
-    """The tool whose contact is found from force and motion alone, as on the rig of 2013."""
+    """Return the tool without touch sensors: contact comes from force and motion alone, as on the rig of 2013."""
     blind = {"touch_trusted": False, "force_rise_v": FORCE_CONTACT_RISE_V}
     return tool.model_copy(update={"contact": tool.contact.model_copy(update=blind)})

@@ -1,4 +1,4 @@
-"""A study's outcome: figures with their floors, tables and plots, as one self-contained HTML page and as JSON."""
+"""A study's result: figures with their targets, tables and plots, as one self-contained HTML page and as JSON."""
 
 import html
 import json
@@ -32,7 +32,7 @@ PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#9
 
 @dataclass(frozen=True, slots=True)
 class KeyFigure:
-    """One number of a study. `at_most` or `at_least` is the floor that it is to reach, if there is one."""
+    """One number of a study, with its target `at_most` or `at_least`, if it has one."""
 
     name: str
     value: float | None
@@ -43,7 +43,7 @@ class KeyFigure:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the floor is reached; None where there is none."""
+        """Whether the target is reached; None without a target."""
         if self.at_most is None and self.at_least is None:
             return None
         if self.value is None:
@@ -54,7 +54,7 @@ class KeyFigure:
 
     @property
     def floor(self) -> str:
-        """The floor in words; empty where there is none."""
+        """The target in words; empty without a target."""
         if self.at_most is not None:
             return f"at most {self.at_most:g} {self.unit}".rstrip()
         return "" if self.at_least is None else f"at least {self.at_least:g} {self.unit}".rstrip()
@@ -62,7 +62,7 @@ class KeyFigure:
 
 @dataclass(slots=True)
 class StudyResult:
-    """What a study found, in the order in which it is to be read."""
+    """A study's result, in reading order."""
 
     name: str
     title: str
@@ -72,7 +72,7 @@ class StudyResult:
     parts: list[Table | tuple[str, go.Figure]] = field(default_factory=list)
 
     def to_document(self) -> dict[str, Any]:
-        """All figures and tables, ready for JSON: no NaN, no infinity."""
+        """Return all figures and tables, ready for JSON: no NaN, no infinity."""
         return {
             "study": self.name,
             "settings": to_json_value(self.settings),
@@ -84,7 +84,7 @@ class StudyResult:
         }
 
     def write(self, folder: Path) -> tuple[Path, Path]:
-        """Write `study-NAME.html` and `study-NAME.json` into `folder`; returns both paths."""
+        """Write `study-NAME.html` and `study-NAME.json` into `folder`; return both paths."""
         folder.mkdir(parents=True, exist_ok=True)
         page, data = folder / f"study-{self.name}.html", folder / f"study-{self.name}.json"
         page.write_text(self.render_page(), encoding="utf-8")
@@ -92,7 +92,7 @@ class StudyResult:
         return page, data
 
     def render_page(self) -> str:
-        """The report as one self-contained HTML page."""
+        """Return the report as one self-contained HTML page."""
         bodies = [_render_figures_table(self.figures)]
         first = True
         for part in self.parts:

@@ -1,4 +1,4 @@
-"""`graspwatch study unknown`: things outside the library are to be called unknown, and the library's tissues not."""
+"""`graspwatch study unknown`: how often things outside the library are called unknown, and the library's tissues."""
 
 from dataclasses import asdict, dataclass
 
@@ -16,7 +16,7 @@ from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Tabl
 
 @dataclass(frozen=True, slots=True)
 class _UnknownAnswer:
-    """How one grasp was answered: probability of unknown at its end, whether named so then, and whether ever."""
+    """Answer for one grasp: probability of unknown at its end, whether called unknown then, and whether ever."""
 
     probability: float
     unknown_at_end: bool
@@ -27,7 +27,7 @@ class _UnknownAnswer:
 def run_unknown_study(
     bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
 ) -> StudyResult:
-    """Run the study: `grasps` of each thing."""
+    """Run the study with `grasps` of each thing and each tissue."""
     library = load_study_setup(bench).library
     kinds: dict[str, list[GraspCase]] = {
         profile.title: [
