@@ -82,6 +82,7 @@ def test_nothing_moves_on_a_tablet_when_an_alarm_comes(service, watch):
     assert after["y"] + after["height"] <= 800
 
 
+@pytest.mark.alone
 def test_an_alarm_is_on_the_screen_within_200_ms_of_its_sample(service, watch):
     viewer = watch(service.url)
     expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live")

@@ -135,6 +135,7 @@ def test_charts_pause_look_back_zoom_and_hide(service, watch):
     expect(liver).to_have_attribute("aria-pressed", "false")
 
 
+@pytest.mark.alone
 def test_a_frozen_service_is_shown_as_stale_by_the_pages_own_clock(watch):
     with Service("serve") as running:
         viewer = watch(running.url)
@@ -149,6 +150,7 @@ def test_a_frozen_service_is_shown_as_stale_by_the_pages_own_clock(watch):
         expect(viewer.at("stale-banner")).to_be_hidden()
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("page", ["live", "tissues"])
 def test_a_cut_connection_is_told_within_a_second_and_afterwards_how_long_it_was_blind(service, watch, page):
     with Line(service.port) as line:

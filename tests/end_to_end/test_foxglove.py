@@ -51,6 +51,7 @@ def recorded(path: Path, topic: str) -> list[bytes]:
         return [message.data for _, _, message in make_reader(file).iter_messages([topic])]
 
 
+@pytest.mark.long
 def test_the_reference_client_receives_every_channel(streaming: tuple[Service, int]) -> None:
     service, port = streaming
     receiving = client(port, 5.0)

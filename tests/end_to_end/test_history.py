@@ -197,6 +197,7 @@ def test_no_other_name_is_an_entry_of_the_bin(service: Service, entry: str) -> N
     assert answer.status_code in (404, 405)
 
 
+@pytest.mark.long
 def test_a_run_that_was_deleted_and_restored_is_whole_also_after_a_rebuild_meanwhile(tmp_path: Path) -> None:
     with Service("serve", data=tmp_path) as before:
         run = before.run(protocol="trapezoid_4hz", cycles=1, tissue="liver")["id"]

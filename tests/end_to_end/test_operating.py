@@ -66,6 +66,7 @@ def test_on_the_error_output_it_speaks_json_where_it_is_told_to(tmp_path: Path) 
         assert not (running.data / "logs").exists()
 
 
+@pytest.mark.long
 def test_the_file_for_support_has_what_is_asked_for_and_no_secret(tmp_path: Path) -> None:
     config, out = tmp_path / "settings.toml", tmp_path / "help.zip"
     config.write_text('index_url = "sqlite:///index.sqlite?password=hush-hush"\n')

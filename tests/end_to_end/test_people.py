@@ -273,6 +273,7 @@ def test_one_operator_has_control_until_another_takes_it_over(service, token, so
     assert ("Control taken over from Otto", "Olga") in told and ("Control given back", "Olga") in told
 
 
+@pytest.mark.long
 def test_who_does_nothing_loses_control_but_not_during_his_run(service, token, somebody):
     otto, olga = bearer(token[Role.OPERATOR]), somebody("Olga", Role.OPERATOR)
     service.http.post("/api/runs", json=LONG_RUN, headers=otto)

@@ -92,6 +92,7 @@ def closed(connection):
     return message, caught.value.rcvd.code, caught.value.rcvd.reason
 
 
+@pytest.mark.long
 def test_at_ten_times_its_speed_every_sample_comes_once_and_the_grasps_are_those_of_a_headless_replay(service, path):
     with watching(service, speed=10) as viewer:
         viewer.listen(lambda: at_its_end(viewer))

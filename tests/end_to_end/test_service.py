@@ -195,6 +195,7 @@ def test_sigterm_ends_it_in_order_and_leaves_nothing_behind():
         assert "Traceback" not in running.process.stderr.read()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("worker", ["estimator", "acquisition"])
 def test_a_killed_worker_is_told_and_replaced(worker):
     with Service("serve") as running, Listener(running) as listener:
@@ -219,6 +220,7 @@ def test_a_killed_worker_is_told_and_replaced(worker):
         assert running.http.get(f"/api/runs/{again['id']}/grasps").json()[0]["label"] == "bladder"
 
 
+@pytest.mark.long
 def test_a_worker_that_keeps_dying_is_given_up_after_three_restarts():
     with Service("serve") as running:
         for _ in range(4):
@@ -249,6 +251,7 @@ def test_a_grasp_cut_short_by_stop_is_kept_and_starting_at_once_again_works(serv
         assert grasps[run["id"]][0]["end_s"] < grasps[again["id"]][0]["start_s"]
 
 
+@pytest.mark.long
 def test_the_demonstration_ends_when_somebody_stops_it():
     with Service("serve", "--demo") as running:
         until(lambda: running.http.get("/api/runs").json())

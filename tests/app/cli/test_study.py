@@ -29,7 +29,7 @@ def study(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-LONG = {"paper", "estimators", "initial", "mismatch"}
+LONG = {"paper", "estimators", "initial", "mismatch", "identify", "limiter"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] * (name in LONG)) for name in SMALL])

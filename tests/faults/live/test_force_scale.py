@@ -54,6 +54,7 @@ def test_it_moves_only_for_an_admins_reason_which_stands_in_the_journal(tmp_path
             assert McapFile(path).metadata["force_scale"] == WORDS
 
 
+@pytest.mark.long
 def test_it_can_be_calibrated_with_empty_jaws_and_is_armed_for_nothing_else_by_that(tmp_path):
     with ServedBoard(tmp_path, tissue="liver", measured=False) as board:
         checked = subprocess.run(
