@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import uvicorn
-from fastapi import FastAPI, Request, Response
+from fastapi import Depends, FastAPI, Request, Response
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from fastapi_offline import FastAPIOffline
@@ -18,6 +18,7 @@ from app import __version__
 from app.analysis.calibration_session import CalibrationSession
 from app.analysis.report.report_cache import ReportCache
 from app.analysis.study_runner import StudyRunner
+from app.api.dependencies import Services, renew_control
 from app.api.recording_bin import RecordingBin
 from app.api.routes import (
     alarms,
@@ -101,36 +102,42 @@ def create_app(plan: ServicePlan) -> FastAPI:
     Raises:
         GraspwatchError: the index cannot be opened, or the file of people cannot be read.
     """
-    guard = Authenticator(plan)
+    authenticator, log_context = Authenticator(plan), LogContext()
     store = open_store_for_service(
         index_url_from_settings(plan.settings, plan.data_folder), plan.data_folder, RECORDING_READERS
     )
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        tool_service = app.state.station = ToolService(plan, store, app.state.about)
-        app.state.calibration = CalibrationSession(plan, tool_service)
-        desk = StudyRunner(plan.studies_folder, lambda text, by: tool_service.publish_event(text, by=by))
+        tool_service = ToolService(plan, store, log_context)
+        studies = StudyRunner(plan.studies_folder, lambda text, by: tool_service.publish_event(text, by=by))
+        replay_caches, reports, catalog = ReplayCacheStore(plan), ReportCache(plan), RecordingCatalog(plan)
         index = contextlib.aclosing(tool_service.index_writer)  # closed last: the other parts write to it as they end
-        cache_store, reports, catalog = (
-            ReplayCacheStore(plan),
-            ReportCache(plan),
-            contextlib.aclosing(RecordingCatalog(plan)),
-        )
         await tool_service.start()
-        recording_bin = contextlib.aclosing(RecordingBin(plan, tool_service, cache_store, reports))
-        chain = contextlib.aclosing(JournalWatch(plan.data_folder, tool_service.index_writer, tool_service.alarms))
-        watch = asyncio.create_task(guard.watch_token_file(tool_service))
+        recording_bin = RecordingBin(plan, tool_service, replay_caches, reports)
+        journal_watch = JournalWatch(plan.data_folder, tool_service.index_writer, tool_service.alarms)
+        app.state.services = Services(
+            authenticator,
+            tool_service,
+            CalibrationSession(plan, tool_service),
+            studies,
+            replay_caches,
+            catalog,
+            reports,
+            journal_watch,
+            recording_bin,
+        )
+        watch = asyncio.create_task(authenticator.watch_token_file(tool_service))
         tool_service.supervise_task(watch)
         demo = asyncio.create_task(run_demo(tool_service)) if plan.demo_enabled else None
         async with (
             index,
-            desk as app.state.studies,
-            contextlib.aclosing(cache_store) as app.state.films,
-            catalog as app.state.shelf,
-            contextlib.aclosing(reports) as app.state.reports,
-            chain as app.state.chain,
-            recording_bin as app.state.bin,
+            studies,
+            contextlib.aclosing(replay_caches),
+            contextlib.aclosing(catalog),
+            contextlib.aclosing(reports),
+            contextlib.aclosing(journal_watch),
+            contextlib.aclosing(recording_bin),
         ):
             try:
                 yield
@@ -146,20 +153,20 @@ def create_app(plan: ServicePlan) -> FastAPI:
         description="Watches a laparoscopic grasper close on tissue. Research instrument, not a medical device.",
         lifespan=lifespan,
     )
-    app.state.guard, app.state.about = guard, LogContext()
+    app.state.log_context = log_context
     rights = collect_route_permissions(ROUTERS)
     add_roles_to_openapi(app, rights)
     problems.add_error_handlers(app)
     for router in ROUTERS:
-        app.include_router(router)
+        app.include_router(router, dependencies=[Depends(renew_control)])
     app.add_middleware(
         AuthMiddleware,
-        authenticator=guard,
+        authenticator=authenticator,
         public_paths=find_public_paths(rights),
         max_body_bytes=plan.settings.server.most_body_bytes,
     )
     app.middleware("http")(_add_security_headers)
-    app.add_middleware(AuditMiddleware)
+    app.add_middleware(AuditMiddleware, get_journal=lambda: app.state.services.tool.journal)
     app.add_middleware(HeadAsGetMiddleware)
     if (STATIC_FOLDER / "index.html").is_file():
         for page in DASHBOARD_PATHS:
@@ -217,7 +224,7 @@ def open_listener(host: str, port: int) -> socket.socket:
 def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
     """Serve until SIGINT or SIGTERM."""
     server = plan.settings.server
-    configure_logging(plan.settings.logs, plan.data_folder, app.state.about)
+    configure_logging(plan.settings.logs, plan.data_folder, app.state.log_context)
     config = uvicorn.Config(
         app,
         http=make_connection_limiter(server.most_connections),
@@ -247,7 +254,7 @@ class _Server(uvicorn.Server):
         self._app = app
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        await self._app.state.station.halt()
+        await self._app.state.services.tool.halt()
         await super().shutdown(sockets)
 
 

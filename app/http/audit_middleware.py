@@ -5,6 +5,7 @@ It serves all routes, so that none can be forgotten. A route may describe action
 """
 
 import json
+from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any
 
@@ -26,7 +27,9 @@ def note_request(request: HTTPConnection, *, description: str | None = None, by:
     Without `by`, the line names the signed-in user, else the name in the request.
     """
     said = {"what": description, "by": by}
-    request.state.deed = getattr(request.state, "deed", {}) | {name: each for name, each in said.items() if each}
+    request.state.request_note = getattr(request.state, "request_note", {}) | {
+        name: each for name, each in said.items() if each
+    }
 
 
 def describe_client(request: HTTPConnection) -> str:
@@ -39,8 +42,9 @@ def describe_client(request: HTTPConnection) -> str:
 class AuditMiddleware:
     """ASGI middleware that writes a request and its result to the journal once it is answered."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
+    def __init__(self, app: ASGIApp, get_journal: Callable[[], Journal]) -> None:
+        """Take the application, and a function that returns its journal while it serves requests."""
+        self._app, self._get_journal = app, get_journal
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or scope["method"] in SAFE_METHODS:
@@ -65,17 +69,20 @@ class AuditMiddleware:
         try:
             await self._app(scope, receive_and_copy, send_and_copy)
         finally:
-            _write_journal_entry(HTTPConnection(scope), bytes(asked), status, bytes(answered))
+            _write_journal_entry(self._get_journal, HTTPConnection(scope), bytes(asked), status, bytes(answered))
 
 
 def _write_journal_entry(
-    request: HTTPConnection, request_body: bytes, status: HTTPStatus, response_body: bytes
+    get_journal: Callable[[], Journal],
+    request: HTTPConnection,
+    request_body: bytes,
+    status: HTTPStatus,
+    response_body: bytes,
 ) -> None:
     route = request.scope.get("route")
     if route is None and status is not HTTPStatus.FORBIDDEN:
         return  # no such route, or AuthMiddleware refused an unknown user; it logs wrong tokens itself
-    journal: Journal = request.app.state.station.journal
-    note = getattr(request.state, "deed", {})
+    note = getattr(request.state, "request_note", {})
     name = route.name if route else str(request.scope["method"])
     words = [name.replace("_", " ").capitalize(), *map(str, request.path_params.values())]
     if route is None:
@@ -84,7 +91,7 @@ def _write_journal_entry(
     if status >= HTTPStatus.BAD_REQUEST:
         result = Result.FAILED if status >= HTTPStatus.INTERNAL_SERVER_ERROR else Result.REFUSED
         reason = str(_json_field(response_body, "detail") or status.phrase)[:MAX_REASON_LENGTH]
-    journal.write_request(
+    get_journal().write_request(
         name,
         note.get("what") or " ".join(words),
         client=describe_client(request),
@@ -96,7 +103,7 @@ def _write_journal_entry(
 
 def _signed_in_name(request: HTTPConnection) -> str | None:
     """Return the user that AuthMiddleware found, who takes precedence over any name in the request."""
-    user = getattr(request.state, "who", None)
+    user = getattr(request.state, "user", None)
     return user.name if user else None
 
 

@@ -42,7 +42,7 @@ class AuthMiddleware:
             user = self._authenticator.authenticate(
                 HTTPConnection(scope), path in self._public_paths or not path.startswith(PROTECTED_PATHS)
             )
-            scope.setdefault("state", {})["who"] = user
+            scope.setdefault("state", {})["user"] = user
             if scope["type"] == "http":
                 if not STOP_PATH.fullmatch(path):  # a stop takes effect before its body is read
                     self._check_length(Headers(scope=scope))

@@ -3,10 +3,9 @@
 from dataclasses import dataclass, field
 from http import HTTPStatus
 
-from fastapi import Depends
+from fastapi import Depends, params
 from starlette.requests import HTTPConnection
 
-from app.http.methods import SAFE_METHODS
 from app.http.problems import ProblemError
 from app.messages.wire import Role
 
@@ -43,21 +42,19 @@ class RoleRequirement:
                 f"token made with `graspwatch token add NAME --role {self.role.value}`."
             )
             raise ProblemError(HTTPStatus.FORBIDDEN, detail)
-        if user.name and connection.scope.get("method", "GET") not in SAFE_METHODS:
-            connection.app.state.station.control_lease.renew(user.name)
 
 
 PUBLIC_ROUTE = Depends(RoleRequirement(None))
 
 
-def require_role(role: Role) -> object:
+def require_role(role: Role) -> params.Depends:
     """Return the dependency for a route: `dependencies=[require_role(Role.OPERATOR)]`."""
     return Depends(RoleRequirement(role))
 
 
 def get_user(connection: HTTPConnection) -> AuthenticatedUser | None:
     """Return the user of a request, None if unknown."""
-    return connection.state.who
+    return connection.state.user
 
 
 def requester_name(connection: HTTPConnection, by: str | None) -> str | None:

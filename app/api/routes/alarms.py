@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from app.api.routes.runs import get_tool_service
+from app.api.dependencies import ToolServiceDep
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.messages.wire import AcknowledgeRequest, Alarm, JournalEntry, Role
 from app.people.authorization import require_requester_name, require_role
@@ -15,9 +15,9 @@ router = APIRouter(prefix="/api", tags=["alarms"])
 
 
 @router.get("/alarms", dependencies=[require_role(Role.VIEWER)])
-async def alarms(request: Request) -> list[Alarm]:
+async def alarms(tool_service: ToolServiceDep) -> list[Alarm]:
     """List alarms whose cause is present, and latched alarms that were not acknowledged."""
-    return get_tool_service(request).alarms.current_alarms()
+    return tool_service.alarms.current_alarms()
 
 
 @router.post(
@@ -28,17 +28,17 @@ async def alarms(request: Request) -> list[Alarm]:
         409: {"description": "Worse by now", **PROBLEM_RESPONSE},
     },
 )
-async def acknowledge(request: Request, alarm_id: str, body: AcknowledgeRequest) -> Alarm:
+async def acknowledge(request: Request, tool_service: ToolServiceDep, alarm_id: str, body: AcknowledgeRequest) -> Alarm:
     """Acknowledge an alarm. Every page silences it, and shows it until its cause is gone."""
     by = require_requester_name(request, body.by)
     try:
-        return await get_tool_service(request).arming.acknowledge(alarm_id, body.priority, by)
+        return await tool_service.arming.acknowledge(alarm_id, body.priority, by)
     except RefusedError as error:
         status = HTTPStatus.NOT_FOUND if error.field == "id" else HTTPStatus.CONFLICT
         raise ProblemError(status, str(error)) from None
 
 
 @router.get("/journal", dependencies=[require_role(Role.VIEWER)])
-async def journal(request: Request, most: Annotated[int, Query(ge=1, le=2000)] = 200) -> list[JournalEntry]:
+async def journal(tool_service: ToolServiceDep, most: Annotated[int, Query(ge=1, le=2000)] = 200) -> list[JournalEntry]:
     """List what happened and who did it since the service started, newest first."""
-    return get_tool_service(request).journal.newest_entries(most)
+    return tool_service.journal.newest_entries(most)

@@ -2,17 +2,16 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from fastapi.responses import StreamingResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from app.api.routes.runs import get_tool_service
+from app.api.dependencies import JournalWatchDep, ToolServiceDep
 from app.audit.journal_export import JournalFilter, JournalFormat, export_lines
 from app.http.problems import PROBLEM_RESPONSE
 from app.index.queries import SearchText
 from app.messages.wire import JournalCheck, Role
 from app.people.authorization import require_role
-from app.service.journal_watch import JournalWatch
 
 router = APIRouter(prefix="/api/audit", tags=["history"])
 MEDIA_TYPES = {JournalFormat.CSV: "text/csv", JournalFormat.JSONL: "application/jsonl"}
@@ -38,20 +37,17 @@ class ExportQuery(BaseModel):
     dependencies=[require_role(Role.VIEWER)],
     responses={503: {"description": "The index cannot be asked", **PROBLEM_RESPONSE}},
 )
-async def check(request: Request) -> JournalCheck:
+async def check(chain: JournalWatchDep) -> JournalCheck:
     """Check by the hash chain and the index whether any line was changed, removed, inserted or moved.
 
     `graspwatch audit verify` also checks the recordings. The result is cached for five seconds.
     """
-    chain: JournalWatch = request.app.state.chain
     return await chain.check()
 
 
 @router.get("/export", dependencies=[require_role(Role.ADMIN)], response_class=StreamingResponse)
-async def export_journal(request: Request, query: Annotated[ExportQuery, Query()]) -> StreamingResponse:
+async def export_journal(tool_service: ToolServiceDep, query: Annotated[ExportQuery, Query()]) -> StreamingResponse:
     """Return the journal, oldest line first, as CSV or as the original JSON lines."""
-    lines = export_lines(
-        get_tool_service(request).plan.data_folder, JournalFilter(query.since, query.until, query.by), query.format
-    )
+    lines = export_lines(tool_service.plan.data_folder, JournalFilter(query.since, query.until, query.by), query.format)
     headers = {"Content-Disposition": f'attachment; filename="graspwatch-journal.{query.format.value}"'}
     return StreamingResponse(lines, media_type=MEDIA_TYPES[query.format], headers=headers)

@@ -1,11 +1,11 @@
 """Routes to list the bin, restore a recording from it, and empty it."""
 
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 
-from app.api.recording_bin import RecordingBin
+from app.api.dependencies import RecordingBinDep
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.messages.wire import BinContent, Emptied, FileRecord, PersonName, Role
 from app.people.authorization import require_requester_name, require_role
@@ -15,15 +15,15 @@ router = APIRouter(prefix="/api/bin", tags=["recordings"])
 RequesterQuery = Annotated[
     PersonName | None, Query(description="Name of the requester; a signed-in user may leave it out")
 ]
-FORBIDDEN_RESPONSE = {403: {"description": "Not an admin", **PROBLEM_RESPONSE}}
+FORBIDDEN_RESPONSE: dict[int | str, dict[str, Any]] = {403: {"description": "Not an admin", **PROBLEM_RESPONSE}}
 
 
 @router.get(
     "", dependencies=[require_role(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM_RESPONSE}}
 )
-async def content(request: Request) -> BinContent:
+async def content(recording_bin: RecordingBinDep) -> BinContent:
     """List deleted recordings that can be restored. They take disk space until they expire or the bin is emptied."""
-    return await _get_recording_bin(request).list_content()
+    return await recording_bin.list_content()
 
 
 @router.post(
@@ -36,14 +36,16 @@ async def content(request: Request) -> BinContent:
         503: {"description": "It cannot be restored", **PROBLEM_RESPONSE},
     },
 )
-async def restore(request: Request, entry: str, by: RequesterQuery = None) -> FileRecord:
+async def restore(
+    request: Request, recording_bin: RecordingBinDep, entry: str, by: RequesterQuery = None
+) -> FileRecord:
     """Restore a deleted recording; only an admin may. The journal records who did it."""
     by = require_requester_name(request, by)
     try:
-        file = await _get_recording_bin(request).find(entry)
+        file = await recording_bin.find(entry)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
-    return await _get_recording_bin(request).restore(file, by)
+    return await recording_bin.restore(file, by)
 
 
 @router.delete(
@@ -52,10 +54,6 @@ async def restore(request: Request, entry: str, by: RequesterQuery = None) -> Fi
     responses=FORBIDDEN_RESPONSE
     | {503: {"description": "It cannot be emptied, or not be written down", **PROBLEM_RESPONSE}},
 )
-async def empty(request: Request, by: RequesterQuery = None) -> Emptied:
+async def empty(request: Request, recording_bin: RecordingBinDep, by: RequesterQuery = None) -> Emptied:
     """Remove all recordings in the bin permanently; only an admin may. The journal records which, and who did it."""
-    return await _get_recording_bin(request).empty(require_requester_name(request, by))
-
-
-def _get_recording_bin(request: Request) -> RecordingBin:
-    return request.app.state.bin
+    return await recording_bin.empty(require_requester_name(request, by))

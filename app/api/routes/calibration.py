@@ -1,13 +1,13 @@
 """Routes to calibrate the tool, one reading at a time."""
 
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Request
 
-from app.analysis.calibration_session import CalibrationSession
+from app.api.dependencies import CalibrationDep, ToolServiceDep
 from app.api.routes.control import acquire_control
-from app.api.routes.runs import check_has_tool, get_tool_service
+from app.api.routes.runs import check_has_tool
 from app.http.audit_middleware import note_request
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.messages.wire import Calibration, CalibrationRequest, Role
@@ -15,19 +15,15 @@ from app.people.authorization import requester_name, require_role
 from config.errors import CalibrationError, ConfigurationError, RefusedError, ServiceError
 
 router = APIRouter(prefix="/api/calibration", tags=["calibration"])
-CONFLICT_RESPONSE = {
+CONFLICT_RESPONSE: dict[int | str, dict[str, Any]] = {
     409: {"description": "Not now, or it cannot be trusted; the text says what to do", **PROBLEM_RESPONSE}
 }
 
 
-def _get_calibration_session(request: Request) -> CalibrationSession:
-    return request.app.state.calibration
-
-
 @router.get("", dependencies=[require_role(Role.VIEWER)])
-async def calibration(request: Request) -> Calibration:
+async def calibration(calibration_session: CalibrationDep) -> Calibration:
     """Return the calibration under way, or the last one."""
-    return _get_calibration_session(request).state
+    return calibration_session.state
 
 
 @router.post(
@@ -36,20 +32,25 @@ async def calibration(request: Request) -> Calibration:
     status_code=HTTPStatus.CREATED,
     responses=CONFLICT_RESPONSE | {503: {"description": "The new tool file could not be written", **PROBLEM_RESPONSE}},
 )
-async def begin(request: Request, body: Annotated[CalibrationRequest, Body()]) -> Calibration:
+async def begin(
+    request: Request,
+    calibration_session: CalibrationDep,
+    tool_service: ToolServiceDep,
+    body: Annotated[CalibrationRequest, Body()],
+) -> Calibration:
     """Begin a calibration. The tool does not move yet."""
     note_request(request, description=f"Begin calibration of {body.what}")
-    check_has_tool(get_tool_service(request))
-    acquire_control(request)
+    check_has_tool(tool_service)
+    acquire_control(request, tool_service)
     try:
-        _get_calibration_session(request).begin(body)
+        calibration_session.begin(body)
     except CalibrationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "values") from None
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
-    return _get_calibration_session(request).state
+    return calibration_session.state
 
 
 @router.post(
@@ -57,27 +58,27 @@ async def begin(request: Request, body: Annotated[CalibrationRequest, Body()]) -
     dependencies=[require_role(Role.OPERATOR)],
     responses=CONFLICT_RESPONSE | {503: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
 )
-async def read(request: Request) -> Calibration:
+async def read(request: Request, calibration_session: CalibrationDep, tool_service: ToolServiceDep) -> Calibration:
     """Take the next reading, and answer once it is taken. For `stretch` and `geometry` the jaws close gently."""
     note_request(request, description="Take a reading for a calibration")
-    check_has_tool(get_tool_service(request))
-    acquire_control(request)
+    check_has_tool(tool_service)
+    acquire_control(request, tool_service)
     try:
-        await _get_calibration_session(request).take_reading(requester_name(request, None))
+        await calibration_session.take_reading(requester_name(request, None))
     except (CalibrationError, RefusedError) as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     except (ServiceError, ConfigurationError) as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
-    return _get_calibration_session(request).state
+    return calibration_session.state
 
 
 @router.delete("", dependencies=[require_role(Role.OPERATOR)], responses=CONFLICT_RESPONSE)
-async def abandon(request: Request) -> Calibration:
+async def abandon(request: Request, calibration_session: CalibrationDep, tool_service: ToolServiceDep) -> Calibration:
     """Discard the calibration under way. No tool file is written."""
-    check_has_tool(get_tool_service(request))
-    acquire_control(request)
+    check_has_tool(tool_service)
+    acquire_control(request, tool_service)
     try:
-        _get_calibration_session(request).discard()
+        calibration_session.discard()
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
-    return _get_calibration_session(request).state
+    return calibration_session.state

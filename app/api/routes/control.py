@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Request
 
+from app.api.dependencies import ToolServiceDep
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.messages.wire import ControlInfo, ControlRequest, JournalKind, Role
 from app.people.authorization import get_user, require_role
@@ -15,13 +16,13 @@ router = APIRouter(prefix="/api/control", tags=["control"])
 NO_TOKENS_TEXT = "Without tokens nobody needs control. Make them with `graspwatch token add NAME --role operator`."
 
 
-def acquire_control(request: Request, *, take_over: bool = False) -> None:
+def acquire_control(request: Request, tool_service: ToolService, *, take_over: bool = False) -> None:
     """Acquire the control lease for the caller. A service without tokens needs none.
 
     Raises:
         ProblemError: another user has control.
     """
-    user, tool_service = get_user(request), _get_tool_service(request)
+    user = get_user(request)
     if user is None or user.name is None:
         return
     try:
@@ -35,9 +36,9 @@ def acquire_control(request: Request, *, take_over: bool = False) -> None:
 
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
-async def control(request: Request) -> ControlInfo:
+async def control(tool_service: ToolServiceDep) -> ControlInfo:
     """Return who has control."""
-    lease = _get_tool_service(request).control_lease
+    lease = tool_service.control_lease
     return ControlInfo(holder=lease.holder, expires_in_s=lease.expires_in_s)
 
 
@@ -46,11 +47,11 @@ async def control(request: Request) -> ControlInfo:
     dependencies=[require_role(Role.OPERATOR)],
     responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
-async def take(request: Request, body: Annotated[ControlRequest, Body()]) -> ControlInfo:
+async def take(request: Request, tool_service: ToolServiceDep, body: Annotated[ControlRequest, Body()]) -> ControlInfo:
     """Acquire or extend control. A start does so too, but only this request can take control over from another user."""
     _require_user_name(request)
-    acquire_control(request, take_over=body.take_over)
-    return await control(request)
+    acquire_control(request, tool_service, take_over=body.take_over)
+    return await control(tool_service)
 
 
 @router.delete(
@@ -58,14 +59,14 @@ async def take(request: Request, body: Annotated[ControlRequest, Body()]) -> Con
     dependencies=[require_role(Role.OPERATOR)],
     responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
-async def give_back(request: Request) -> ControlInfo:
+async def give_back(request: Request, tool_service: ToolServiceDep) -> ControlInfo:
     """Release control. It is refused if another user has control, and changes nothing if control is free."""
-    name, tool_service = _require_user_name(request), _get_tool_service(request)
+    name = _require_user_name(request)
     if not tool_service.release_control(name) and tool_service.control_lease.holder:
         raise ProblemError(
             HTTPStatus.CONFLICT, f"{tool_service.control_lease.holder} has control, and only he can give it back."
         )
-    return await control(request)
+    return await control(tool_service)
 
 
 def _require_user_name(request: Request) -> str:
@@ -74,7 +75,3 @@ def _require_user_name(request: Request) -> str:
     if user is None or user.name is None:
         raise ProblemError(HTTPStatus.CONFLICT, NO_TOKENS_TEXT)
     return user.name
-
-
-def _get_tool_service(request: Request) -> ToolService:
-    return request.app.state.station

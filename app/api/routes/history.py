@@ -4,7 +4,7 @@ from typing import Annotated, TypeVar
 
 from fastapi import APIRouter, Query, Request, Response
 
-from app.api.routes.runs import get_tool_service
+from app.api.dependencies import ToolServiceDep
 from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE
 from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery
@@ -17,38 +17,38 @@ T = TypeVar("T")
 
 
 @router.get("/grasps", dependencies=[require_role(Role.VIEWER)])
-async def grasps(request: Request, response: Response, query: Annotated[GraspQuery, Query()]) -> list[GraspEnded]:
+async def grasps(
+    request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[GraspQuery, Query()]
+) -> list[GraspEnded]:
     """List the grasps of all runs, newest first by default."""
-    found = await get_tool_service(request).index_writer.query(
-        get_tool_service(request).index_writer.store.find_grasps, query
-    )
+    found = await tool_service.index_writer.query(tool_service.index_writer.store.find_grasps, query)
     return _return_page(request, response, query, found)
 
 
 @router.get("/alarms/history", dependencies=[require_role(Role.VIEWER)])
-async def alarms(request: Request, response: Response, query: Annotated[AlarmQuery, Query()]) -> list[Alarm]:
+async def alarms(
+    request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[AlarmQuery, Query()]
+) -> list[Alarm]:
     """List present and past alarms, each in its last state, newest first by default."""
-    found = await get_tool_service(request).index_writer.query(
-        get_tool_service(request).index_writer.store.find_alarms, query
-    )
+    found = await tool_service.index_writer.query(tool_service.index_writer.store.find_alarms, query)
     return _return_page(request, response, query, found)
 
 
 @router.get("/audit", dependencies=[require_role(Role.VIEWER)])
-async def audit(request: Request, response: Response, query: Annotated[AuditQuery, Query()]) -> list[JournalEntry]:
+async def audit(
+    request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[AuditQuery, Query()]
+) -> list[JournalEntry]:
     """List the lines of the journal, newest first by default: what happened and who did it."""
-    found = await get_tool_service(request).index_writer.query(
-        get_tool_service(request).index_writer.store.find_audit_entries, query
-    )
+    found = await tool_service.index_writer.query(tool_service.index_writer.store.find_audit_entries, query)
     return _return_page(request, response, query, found)
 
 
 @router.get("/files", dependencies=[require_role(Role.VIEWER)])
-async def files(request: Request, response: Response, query: Annotated[FileQuery, Query()]) -> list[FileRecord]:
+async def files(
+    request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[FileQuery, Query()]
+) -> list[FileRecord]:
     """List the recordings of runs, newest first by default; deleted ones say who deleted them."""
-    found = await get_tool_service(request).index_writer.query(
-        get_tool_service(request).index_writer.store.find_files, query
-    )
+    found = await tool_service.index_writer.query(tool_service.index_writer.store.find_files, query)
     return _return_page(request, response, query, found)
 
 

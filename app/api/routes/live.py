@@ -2,17 +2,16 @@
 
 from fastapi import APIRouter, WebSocket
 
+from app.api.dependencies import ToolServiceDep
 from app.messages.wire import Role
 from app.people.authorization import require_role
-from app.service.tool_service import ToolService
 
 router = APIRouter()
 
 
 @router.websocket("/api/live", dependencies=[require_role(Role.VIEWER)])
-async def live(socket: WebSocket) -> None:
+async def live(socket: WebSocket, tool_service: ToolServiceDep) -> None:
     """Send a `Hello`, the last seconds of samples, then everything as it happens; see app/messages/wire.py."""
-    tool_service: ToolService = socket.app.state.station
     await socket.accept()
     if len(tool_service.viewer_hub.viewers) >= tool_service.plan.settings.server.max_viewers:
         await socket.close(1013, "too many viewers; try again later")

@@ -9,8 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response, WebSocket
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 
-from app.analysis.report.report_cache import ReportCache
-from app.api.recording_bin import RecordingBin
+from app.api.dependencies import CatalogDep, RecordingBinDep, ReplayCachesDep, ReportsDep, ToolServiceDep
 from app.api.routes.studies import REPORT_POLICY
 from app.http.audit_middleware import describe_client
 from app.http.pagination import set_paging_headers
@@ -33,9 +32,10 @@ WAITING_PAGE_POLICY = (
 
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
-async def recordings(request: Request, response: Response, query: Annotated[RecordingQuery, Query()]) -> Recordings:
+async def recordings(
+    request: Request, catalog: CatalogDep, response: Response, query: Annotated[RecordingQuery, Query()]
+) -> Recordings:
     """List recordings that can be replayed. A duration is null until its file has been read: ask again in a second."""
-    catalog: RecordingCatalog = request.app.state.shelf
     listing = await catalog.list_recordings()
     found = [recording for recording in listing.recordings if _matches(recording, query)]
     limit = query.limit or max(len(found), 1)
@@ -62,13 +62,12 @@ def _matches(recording: RecordingInfo, query: RecordingQuery) -> bool:
         416: {"description": "There is no such part"},
     },
 )
-async def file(request: Request, name: str) -> FileResponse:
+async def file(catalog: CatalogDep, name: str) -> FileResponse:
     """Return the recording's file, or a part of it (`Range`, `If-Range`)."""
-    return FileResponse(await _find_path(request, name), media_type="application/octet-stream", filename=name)
+    return FileResponse(await _find_path(catalog, name), media_type="application/octet-stream", filename=name)
 
 
-async def _find_path(request: Request, name: str) -> Path:
-    catalog: RecordingCatalog = request.app.state.shelf
+async def _find_path(catalog: RecordingCatalog, name: str) -> Path:
     try:
         return await catalog.find_path(name)
     except RefusedError as error:
@@ -88,6 +87,10 @@ async def _find_path(request: Request, name: str) -> Path:
 )
 async def delete(
     request: Request,
+    recording_bin: RecordingBinDep,
+    tool_service: ToolServiceDep,
+    catalog: CatalogDep,
+    cache_store: ReplayCachesDep,
     name: str,
     by: Annotated[
         PersonName | None, Query(description="Name of the requester; a signed-in user may leave it out")
@@ -98,16 +101,14 @@ async def delete(
     The journal and the index record who deleted it.
     """
     by = require_requester_name(request, by)
-    path = await _find_path(request, name)
-    _check_not_in_use(request, path)
-    bin_: RecordingBin = request.app.state.bin
-    await bin_.delete(path, by)
+    path = await _find_path(catalog, name)
+    _check_not_in_use(tool_service, catalog, cache_store, path)
+    await recording_bin.delete(path, by)
 
 
-def _check_not_in_use(request: Request, path: Path) -> None:
-    tool_service: ToolService = request.app.state.station
-    catalog: RecordingCatalog = request.app.state.shelf
-    cache_store: ReplayCacheStore = request.app.state.films
+def _check_not_in_use(
+    tool_service: ToolService, catalog: RecordingCatalog, cache_store: ReplayCacheStore, path: Path
+) -> None:
     if Path(tool_service.recorder_link.state.file or "").name == path.name:
         why = "it is being recorded. Stop the run first."
     elif catalog.is_opened(path):
@@ -131,14 +132,14 @@ def _check_not_in_use(request: Request, path: Path) -> None:
         503: {"description": "Too many reports are being made", **PROBLEM_RESPONSE},
     },
 )
-async def report(request: Request, name: str) -> Response:
+async def report(
+    request: Request, tool_service: ToolServiceDep, catalog: CatalogDep, reports: ReportsDep, name: str
+) -> Response:
     """Return the recording's report. The first request makes it, which takes a second per half minute of recording.
 
     Repeat the request while the status is 202; a browser gets a page that does so.
     """
-    reports: ReportCache = request.app.state.reports
-    path = await _find_path(request, name)
-    tool_service: ToolService = request.app.state.station
+    path = await _find_path(catalog, name)
     note = partial(
         tool_service.journal.write_request, "report", f"Make report of {name}", client=describe_client(request)
     )
@@ -161,11 +162,10 @@ async def report(request: Request, name: str) -> Response:
 
 
 @router.websocket("/{name}/replay", dependencies=[require_role(Role.VIEWER)])
-async def replay(socket: WebSocket, name: str) -> None:
+async def replay(
+    socket: WebSocket, tool_service: ToolServiceDep, catalog: CatalogDep, cache_store: ReplayCachesDep, name: str
+) -> None:
     """Stream a recording as if it were live, with pause, seek and speed; see app/messages/wire.py."""
-    tool_service: ToolService = socket.app.state.station
-    cache_store: ReplayCacheStore = socket.app.state.films
-    catalog: RecordingCatalog = socket.app.state.shelf
     server = tool_service.plan.settings.server
     await socket.accept()
     try:

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Query, Request, Response
 from pydantic import ValidationError
@@ -12,6 +12,7 @@ from starlette.requests import ClientDisconnect
 
 from acquisition.protocol_player import ProtocolPlayer
 from acquisition.safety_state_machine import Safety
+from app.api.dependencies import ToolServiceDep
 from app.api.routes.control import acquire_control
 from app.http.audit_middleware import note_request
 from app.http.pagination import set_paging_headers
@@ -27,11 +28,7 @@ from config.schema import ToolKind
 router = APIRouter(prefix="/api", tags=["runs"])
 STOP_BODY_TIMEOUT_S = 0.1
 STOP_OPENAPI_BODY = {"requestBody": {"content": {"application/json": {"schema": StopRequest.model_json_schema()}}}}
-RUN_NOT_FOUND_RESPONSE = {404: {"description": "No such run", **PROBLEM_RESPONSE}}
-
-
-def get_tool_service(request: Request) -> ToolService:
-    return request.app.state.station
+RUN_NOT_FOUND_RESPONSE: dict[int | str, dict[str, Any]] = {404: {"description": "No such run", **PROBLEM_RESPONSE}}
 
 
 @router.post(
@@ -44,12 +41,11 @@ def get_tool_service(request: Request) -> ToolService:
         503: {"description": "The tool does not answer", **PROBLEM_RESPONSE},
     },
 )
-async def start_run(request: Request, body: Annotated[RunRequest, Body()]) -> Run:
+async def start_run(request: Request, tool_service: ToolServiceDep, body: Annotated[RunRequest, Body()]) -> Run:
     """Start a protocol on the tool."""
     note_request(request, description=f"Start run {body.protocol}" + (f" on {body.tissue}" if body.tissue else ""))
-    tool_service = get_tool_service(request)
     check_has_tool(tool_service)
-    override = _unmeasured_scale_reason(request, body.unmeasured_scale)
+    override = _unmeasured_scale_reason(request, tool_service, body.unmeasured_scale)
     try:
         protocol = load_protocol(require_known_name(body.protocol, list_shipped_names("protocols"), "protocol"))
     except ConfigurationError as error:
@@ -60,7 +56,7 @@ async def start_run(request: Request, body: Annotated[RunRequest, Body()]) -> Ru
         ProtocolPlayer(protocol, tool_service.plan.tool, cycles)
     except RefusedError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), error.field) from None
-    acquire_control(request)
+    acquire_control(request, tool_service)
     await _end_demo_and_check_idle(tool_service)
     by = requester_name(request, body.by)
     try:
@@ -71,13 +67,13 @@ async def start_run(request: Request, body: Annotated[RunRequest, Body()]) -> Ru
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
 
-def _unmeasured_scale_reason(request: Request, reason: str | None) -> str:
+def _unmeasured_scale_reason(request: Request, tool_service: ToolService, reason: str | None) -> str:
     """Return why a tool with an unmeasured force scale may be armed; empty if no reason is given or needed.
 
     Raises:
         ProblemError: the requester gives a reason, but is no admin.
     """
-    if reason is None or get_tool_service(request).plan.tool.has_known_scale:
+    if reason is None or tool_service.plan.tool.has_known_scale:
         return ""
     user = get_user(request)
     if user is None or not user.role.includes(Role.ADMIN):
@@ -118,13 +114,12 @@ def _check_tissue(tool_service: ToolService, tissue: str | None) -> None:
     dependencies=[require_role(Role.OPERATOR)],
     responses={409: {"description": "It cannot be armed", **PROBLEM_RESPONSE}},
 )
-async def arm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
+async def arm(request: Request, tool_service: ToolServiceDep, body: ArmRequest | None = None) -> SafetyReport:
     """Tare the tool and test it at rest, so that it may move. A start arms it too, unless the settings forbid that."""
-    tool_service = get_tool_service(request)
     check_has_tool(tool_service)
     body = body or ArmRequest()
-    override = _unmeasured_scale_reason(request, body.unmeasured_scale)
-    acquire_control(request)
+    override = _unmeasured_scale_reason(request, tool_service, body.unmeasured_scale)
+    acquire_control(request, tool_service)
     await tool_service.arming.arm(requester_name(request, body.by), override)
     return SafetyReport(safety=tool_service.arming.safety)
 
@@ -134,11 +129,10 @@ async def arm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
     dependencies=[require_role(Role.OPERATOR)],
     responses={409: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
 )
-async def disarm(request: Request, body: ArmRequest | None = None) -> SafetyReport:
+async def disarm(request: Request, tool_service: ToolServiceDep, body: ArmRequest | None = None) -> SafetyReport:
     """Set the motor to zero and forbid motion until the tool is armed again. A run under way is stopped."""
-    tool_service = get_tool_service(request)
     check_has_tool(tool_service)
-    acquire_control(request)
+    acquire_control(request, tool_service)
     await tool_service.arming.disarm(requester_name(request, body.by if body else None))
     return SafetyReport(safety=Safety.DISARMED)
 
@@ -156,18 +150,18 @@ def check_has_tool(tool_service: ToolService) -> None:
 @router.get(
     "/runs", dependencies=[require_role(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM_RESPONSE}}
 )
-async def list_runs(request: Request, response: Response, query: Annotated[RunQuery, Query()]) -> list[Run]:
+async def list_runs(
+    request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[RunQuery, Query()]
+) -> list[Run]:
     """List runs of this service and earlier ones, oldest first by default; `X-Total-Count` gives their total number."""
-    tool_service = get_tool_service(request)
     found = await tool_service.index_writer.query(tool_service.index_writer.store.find_runs, query)
     set_paging_headers(request, response, query.limit, query.offset, found.total)
     return [tool_service.runs.get(run.id) or run for run in found.items]
 
 
 @router.get("/runs/{run_id}", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
-async def get_run(request: Request, run_id: str) -> Run:
+async def get_run(tool_service: ToolServiceDep, run_id: str) -> Run:
     """Return one run."""
-    tool_service = get_tool_service(request)
     run = tool_service.runs.get(run_id) or await tool_service.index_writer.query(
         tool_service.index_writer.store.get_run, run_id
     )
@@ -177,10 +171,9 @@ async def get_run(request: Request, run_id: str) -> Run:
 
 
 @router.get("/runs/{run_id}/grasps", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
-async def get_grasps(request: Request, run_id: str) -> list[Grasp]:
+async def get_grasps(tool_service: ToolServiceDep, run_id: str) -> list[Grasp]:
     """List the finished grasps of a run."""
-    await get_run(request, run_id)
-    tool_service = get_tool_service(request)
+    await get_run(tool_service, run_id)
     if tool_service.runs.get(run_id):
         return tool_service.runs.list_grasps(run_id)
     return await tool_service.index_writer.query(tool_service.index_writer.store.list_run_grasps, run_id)
@@ -201,13 +194,13 @@ async def _read_requester_name(request: Request) -> str | None:
     responses=RUN_NOT_FOUND_RESPONSE,
     openapi_extra=STOP_OPENAPI_BODY,
 )
-async def stop_run(request: Request, run_id: str) -> StopAnswer:
+async def stop_run(request: Request, tool_service: ToolServiceDep, run_id: str) -> StopAnswer:
     """Stop this run: the motor goes to zero at once. Stopping a run that has ended changes nothing."""
-    current = get_tool_service(request).runs.current
+    current = tool_service.runs.current
     if current is None or current.id != run_id:
         await _read_requester_name(request)  # for the journal
-        return StopAnswer(stopped=False, run=await get_run(request, run_id))
-    return await _stop_motor(request)
+        return StopAnswer(stopped=False, run=await get_run(tool_service, run_id))
+    return await _stop_motor(request, tool_service)
 
 
 @router.post(
@@ -216,14 +209,13 @@ async def stop_run(request: Request, run_id: str) -> StopAnswer:
     responses={503: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
     openapi_extra=STOP_OPENAPI_BODY,
 )
-async def stop(request: Request) -> StopAnswer:
+async def stop(request: Request, tool_service: ToolServiceDep) -> StopAnswer:
     """Set the motor to zero at once. This is always allowed, also when no run is under way."""
-    return await _stop_motor(request)
+    return await _stop_motor(request, tool_service)
 
 
-async def _stop_motor(request: Request) -> StopAnswer:
+async def _stop_motor(request: Request, tool_service: ToolService) -> StopAnswer:
     """Stop the motor before reading the body of the request."""
-    tool_service = get_tool_service(request)
     tool_service.demo_text = None
     before = tool_service.runs.current
     try:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Request, Response
 
+from app.api.dependencies import AuthenticatorDep
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.http.request_origin import is_encrypted
 from app.messages.wire import SessionInfo, SignIn
@@ -19,9 +20,9 @@ NO_TOKENS_TEXT = (
 
 
 @router.get("", dependencies=[PUBLIC_ROUTE])
-async def session(request: Request) -> SessionInfo:
+async def session(request: Request, authenticator: AuthenticatorDep) -> SessionInfo:
     """Return who is signed in, and whether signing in is needed."""
-    return _build_session_info(_get_authenticator(request), get_user(request))
+    return _build_session_info(authenticator, get_user(request))
 
 
 @router.post(
@@ -33,33 +34,36 @@ async def session(request: Request) -> SessionInfo:
         429: {"description": "Too many wrong ones", **PROBLEM_RESPONSE},
     },
 )
-async def sign_in(request: Request, response: Response, body: Annotated[SignIn, Body()]) -> SessionInfo:
+async def sign_in(
+    request: Request, authenticator: AuthenticatorDep, response: Response, body: Annotated[SignIn, Body()]
+) -> SessionInfo:
     """Exchange a token for a session cookie. Programs need no cookie: they send the token with each request."""
-    guard = _get_authenticator(request)
-    if not guard.token_store.requires_token:
+    if not authenticator.token_store.requires_token:
         raise ProblemError(HTTPStatus.CONFLICT, NO_TOKENS_TEXT)
-    entry = guard.check_token(request, body.token.strip())
-    _end_browser_session(request)
-    secret = guard.browser_sessions.begin(entry.sha256)
-    encrypted = is_encrypted(request, guard.server_settings)
+    entry = authenticator.check_token(request, body.token.strip())
+    _end_browser_session(request, authenticator)
+    secret = authenticator.browser_sessions.begin(entry.sha256)
+    encrypted = is_encrypted(request, authenticator.server_settings)
     response.set_cookie(session_cookie_name(request), secret, httponly=True, samesite="strict", secure=encrypted)
-    guard.write_access_entry(f"Signed in as {entry.role.value}", entry.name)
-    return _build_session_info(guard, AuthenticatedUser(entry.role, entry.name, entry.sha256, hash_secret(secret)))
+    authenticator.write_access_entry(f"Signed in as {entry.role.value}", entry.name)
+    return _build_session_info(
+        authenticator, AuthenticatedUser(entry.role, entry.name, entry.sha256, hash_secret(secret))
+    )
 
 
 @router.delete("", status_code=HTTPStatus.NO_CONTENT, dependencies=[PUBLIC_ROUTE])
-async def sign_out(request: Request, response: Response) -> None:
+async def sign_out(request: Request, authenticator: AuthenticatorDep, response: Response) -> None:
     """End this browser's session and close its open connections."""
-    _end_browser_session(request)
+    _end_browser_session(request, authenticator)
     response.delete_cookie(session_cookie_name(request), httponly=True, samesite="strict")
 
 
-def _end_browser_session(request: Request) -> None:
-    guard, user = _get_authenticator(request), get_user(request)
+def _end_browser_session(request: Request, authenticator: Authenticator) -> None:
+    user = get_user(request)
     if user and user.session_hash:
-        guard.browser_sessions.end(user.session_hash)
-        guard.close_unauthorized()
-        guard.write_access_entry("Signed out", user.name)
+        authenticator.browser_sessions.end(user.session_hash)
+        authenticator.close_unauthorized()
+        authenticator.write_access_entry("Signed out", user.name)
 
 
 def _build_session_info(authenticator: Authenticator, user: AuthenticatedUser | None) -> SessionInfo:
@@ -68,7 +72,3 @@ def _build_session_info(authenticator: Authenticator, user: AuthenticatedUser | 
         name=user.name if user else None,
         role=user.role if user else None,
     )
-
-
-def _get_authenticator(request: Request) -> Authenticator:
-    return request.app.state.guard

@@ -2,12 +2,13 @@
 
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Request
 from fastapi.responses import FileResponse
 
 from app.analysis.study_runner import StudyRunner
+from app.api.dependencies import StudiesDep
 from app.http.audit_middleware import note_request
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.messages.wire import Role, StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
@@ -18,25 +19,22 @@ from estimator.studies.catalog import STUDIES, StudyDefinition
 from estimator.studies.html_page import CONTENT_SECURITY_POLICY
 
 router = APIRouter(prefix="/api/studies", tags=["studies"])
-STUDY_NOT_FOUND_RESPONSE = {404: {"description": "No such study, or nothing to show yet", **PROBLEM_RESPONSE}}
+STUDY_NOT_FOUND_RESPONSE: dict[int | str, dict[str, Any]] = {
+    404: {"description": "No such study, or nothing to show yet", **PROBLEM_RESPONSE}
+}
 
 # The sandbox gives the page an origin of its own, so that its script cannot send commands to the service.
 REPORT_POLICY = f"{CONTENT_SECURITY_POLICY}; sandbox allow-scripts allow-downloads"
 
 
-def get_study_runner(request: Request) -> StudyRunner:
-    return request.app.state.studies
-
-
 @router.get("", dependencies=[require_role(Role.VIEWER)])
-async def list_studies(request: Request) -> Studies:
+async def list_studies(study_runner: StudiesDep) -> Studies:
     """List the available studies, and the studies that were started, newest first."""
-    desk = get_study_runner(request)
     available = [
         StudyInfo(name=entry.name, title=entry.title, grasps=entry.default_count, most_grasps=entry.max_count)
         for entry in STUDIES.values()
     ]
-    return Studies(folder=str(desk.folder), available=available, runs=desk.list_runs())
+    return Studies(folder=str(study_runner.folder), available=available, runs=study_runner.list_runs())
 
 
 @router.post(
@@ -49,7 +47,7 @@ async def list_studies(request: Request) -> Studies:
         503: {"description": "The folder of studies cannot be written", **PROBLEM_RESPONSE},
     },
 )
-async def start_study(request: Request, body: Annotated[StudyRequest, Body()]) -> StudyRun:
+async def start_study(request: Request, study_runner: StudiesDep, body: Annotated[StudyRequest, Body()]) -> StudyRun:
     """Start a study. It leaves one core free, and runs on the others with a lower priority than a live tool."""
     note_request(request, description=f"Start study {body.study}, seed {body.seed}")
     entry = _find_study(body.study)
@@ -58,7 +56,7 @@ async def start_study(request: Request, body: Annotated[StudyRequest, Body()]) -
         detail = f"The study {entry.name} takes at most {entry.max_count}."
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "grasps")
     try:
-        return get_study_runner(request).start(entry, grasps, body.seed, requester_name(request, body.by))
+        return study_runner.start(entry, grasps, body.seed, requester_name(request, body.by))
     except RefusedError as error:
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     except ServiceError as error:
@@ -73,21 +71,21 @@ def _find_study(name: str) -> StudyDefinition:
 
 
 @router.get("/{study_id}", dependencies=[require_role(Role.VIEWER)], responses=STUDY_NOT_FOUND_RESPONSE)
-async def get_study(request: Request, study_id: str) -> StudyRun:
+async def get_study(study_runner: StudiesDep, study_id: str) -> StudyRun:
     """Return one study with its progress."""
-    run = get_study_runner(request).get(study_id)
+    run = study_runner.get(study_id)
     if run is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no study {study_id!r}. GET /api/studies lists them.")
     return run
 
 
 @router.post("/{study_id}/stop", dependencies=[require_role(Role.OPERATOR)], responses=STUDY_NOT_FOUND_RESPONSE)
-async def stop_study(request: Request, study_id: str, body: StopRequest | None = None) -> StudyRun:
+async def stop_study(
+    request: Request, study_runner: StudiesDep, study_id: str, body: StopRequest | None = None
+) -> StudyRun:
     """Stop this study. Stopping a study that has ended changes nothing."""
-    run = await get_study(request, study_id)
-    return await get_study_runner(request).stop(
-        run.id, "asked to stop", requester_name(request, body.by if body else None)
-    )
+    run = await get_study(study_runner, study_id)
+    return await study_runner.stop(run.id, "asked to stop", requester_name(request, body.by if body else None))
 
 
 @router.get(
@@ -96,9 +94,9 @@ async def stop_study(request: Request, study_id: str, body: StopRequest | None =
     response_class=FileResponse,
     responses=STUDY_NOT_FOUND_RESPONSE,
 )
-async def report(request: Request, study_id: str) -> FileResponse:
+async def report(study_runner: StudiesDep, study_id: str) -> FileResponse:
     """Return the study's report as a self-contained HTML page."""
-    path = await _find_result_file(request, study_id, "html")
+    path = await _find_result_file(study_runner, study_id, "html")
     return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
 
@@ -108,18 +106,16 @@ async def report(request: Request, study_id: str) -> FileResponse:
     response_class=FileResponse,
     responses=STUDY_NOT_FOUND_RESPONSE,
 )
-async def figures(request: Request, study_id: str) -> FileResponse:
+async def figures(study_runner: StudiesDep, study_id: str) -> FileResponse:
     """Return every figure and table of the study's report as JSON."""
-    return FileResponse(await _find_result_file(request, study_id, "json"), media_type="application/json")
+    return FileResponse(await _find_result_file(study_runner, study_id, "json"), media_type="application/json")
 
 
-async def _find_result_file(request: Request, study_id: str, ending: str) -> Path:
-    run = await get_study(request, study_id)
-    path = get_study_runner(request).result_path(run, ending)
+async def _find_result_file(study_runner: StudyRunner, study_id: str, ending: str) -> Path:
+    run = await get_study(study_runner, study_id)
+    path = study_runner.result_path(run, ending)
     if run.report is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, f"Study {run.id} is {run.state.value}: it has no report.")
     if not path.is_file():
-        raise ProblemError(
-            HTTPStatus.NOT_FOUND, f"The report of study {run.id} is gone from {get_study_runner(request).folder}."
-        )
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"The report of study {run.id} is gone from {study_runner.folder}.")
     return path

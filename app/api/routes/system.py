@@ -5,10 +5,10 @@ import platform
 from datetime import date
 from importlib.metadata import version
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 
 from app import __version__
-from app.api.routes.runs import get_tool_service
+from app.api.dependencies import ToolServiceDep
 from app.host.disk import free_bytes
 from app.messages.wire import Role, System
 from app.people.authorization import require_role
@@ -30,9 +30,8 @@ VERSIONED_PACKAGES = (
 
 
 @router.get("/system", dependencies=[require_role(Role.VIEWER)])
-async def system(request: Request) -> System:
+async def system(tool_service: ToolServiceDep) -> System:
     """Return versions, machine, workers, and the configuration in use (read-only)."""
-    tool_service = get_tool_service(request)
     plan = tool_service.plan
     return System(
         versions={"graspwatch": __version__, "python": platform.python_version()}

@@ -8,7 +8,7 @@ from pydantic import TypeAdapter
 
 from acquisition.protocol_player import command_cycle
 from app import __version__
-from app.api.routes.runs import get_tool_service
+from app.api.dependencies import ToolServiceDep
 from app.messages.wire import Health, LibraryInfo, Phase, ProtocolInfo, Role, ToolInfo
 from app.people.authorization import PUBLIC_ROUTE, get_user, require_role
 from app.stream.descriptions import build_library_info, build_tool_info
@@ -25,9 +25,8 @@ MAX_PREVIEW_POINTS = 200
     dependencies=[PUBLIC_ROUTE],
     responses={503: {"model": Health, "description": "Starting, or faulted"}},
 )
-async def health(request: Request, response: Response) -> Health:
+async def health(request: Request, tool_service: ToolServiceDep, response: Response) -> Health:
     """Return the service's health: ready once the filters are compiled and samples arrive."""
-    tool_service = get_tool_service(request)
     workers = tool_service.worker_conditions()
     phase = tool_service.phase
     if phase is Phase.FAULTED:
@@ -46,17 +45,16 @@ async def health(request: Request, response: Response) -> Health:
 
 
 @router.get("/api/tool", dependencies=[require_role(Role.VIEWER)])
-async def tool(request: Request) -> ToolInfo:
+async def tool(tool_service: ToolServiceDep) -> ToolInfo:
     """Return the tool in use."""
-    return build_tool_info(get_tool_service(request).plan.tool)
+    return build_tool_info(tool_service.plan.tool)
 
 
 @router.get("/api/protocols", dependencies=[require_role(Role.VIEWER)], response_model=list[ProtocolInfo])
-async def protocols(request: Request) -> Response:
+async def protocols(tool_service: ToolServiceDep) -> Response:
     """List the protocols, shortest cycle first, each with its waveform for a preview."""
     return Response(
-        _build_previews(get_tool_service(request).plan.tool, read_modification_times("protocols")),
-        media_type="application/json",
+        _build_previews(tool_service.plan.tool, read_modification_times("protocols")), media_type="application/json"
     )
 
 
@@ -88,12 +86,12 @@ def _build_preview(protocol: GraspProtocol, tool: Tool) -> ProtocolInfo:
 
 
 @router.get("/api/tissues", dependencies=[require_role(Role.VIEWER)])
-async def tissues(request: Request) -> LibraryInfo:
+async def tissues(tool_service: ToolServiceDep) -> LibraryInfo:
     """Return the tissue library in use."""
-    return build_library_info(get_tool_service(request).plan)
+    return build_library_info(tool_service.plan)
 
 
 @router.get("/metrics", dependencies=[require_role(Role.VIEWER)], include_in_schema=False)
-async def metrics(request: Request) -> Response:
+async def metrics(tool_service: ToolServiceDep) -> Response:
     """Return Prometheus metrics."""
-    return Response(get_tool_service(request).render_metrics(), media_type="text/plain; version=0.0.4; charset=utf-8")
+    return Response(tool_service.render_metrics(), media_type="text/plain; version=0.0.4; charset=utf-8")
