@@ -20,7 +20,7 @@ MAX_CHARACTERS = 2**24  # a learned library has some hundred thousand
 MAX_NESTING_DEPTH = 50  # depth of nested tables and arrays; the shipped files have five
 MAX_LISTED_ERRORS = 100
 
-ModelT = TypeVar("M", bound=BaseModel)
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 def load_settings(path: Path | None = None) -> Settings:

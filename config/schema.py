@@ -6,7 +6,7 @@ import ipaddress
 import json
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -199,11 +199,14 @@ def _choose_scale_tag(given: Any) -> str:
     return "number" if isinstance(given, int | float) and not isinstance(given, bool) else "table"
 
 
-ForceScaleOrNumber = Annotated[
-    Annotated[ForceScale, Tag("table")] | Annotated[Positive, Tag("number")],
-    Discriminator(_choose_scale_tag),
-    AfterValidator(_add_default_interval),
-]
+if TYPE_CHECKING:
+    ForceScaleOrNumber = ForceScale  # what a file's number has become once it is loaded
+else:
+    ForceScaleOrNumber = Annotated[
+        Annotated[ForceScale, Tag("table")] | Annotated[Positive, Tag("number")],
+        Discriminator(_choose_scale_tag),
+        AfterValidator(_add_default_interval),
+    ]
 
 
 class ToolCalibration(ConfigModel):
