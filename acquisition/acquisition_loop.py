@@ -196,7 +196,7 @@ class AcquisitionController:
         raw = self._source.read_block()
         if raw is None:
             return None
-        if self.running and self._player.at_start:
+        if self._player is not None and self._player.at_start:
             self._sensor_monitor.reset()  # the run's first block restarts the tare, too
         commands = self._command_history.compute_bounds(raw.first_tick, len(raw))
         limit_n = self._limiter.limit_n if self._limiter else math.nan

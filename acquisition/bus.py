@@ -9,13 +9,15 @@ import secrets
 import time
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import zmq
 
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
+
+SocketT = TypeVar("SocketT", bound=zmq.Socket)
 
 HIGH_WATER_MARK = 12_000  # messages; 200 blocks a second for a minute
 
@@ -47,7 +49,7 @@ def shallow_asdict(record: Any) -> dict[str, Any]:
     return {name: getattr(record, name) for name in record.__dataclass_fields__}
 
 
-def open_publisher(context: zmq.Context, address: str) -> zmq.Socket:
+def open_publisher(context: zmq.Context[SocketT], address: str) -> SocketT:
     socket = context.socket(zmq.PUB)
     socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
     socket.setsockopt(zmq.LINGER, 200)

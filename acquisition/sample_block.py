@@ -48,6 +48,12 @@ SAMPLE_DTYPE = np.dtype(
 )
 
 
+def field_names(dtype: np.dtype) -> tuple[str, ...]:
+    """Return the names of a structured dtype's fields, in order."""
+    assert dtype.names is not None
+    return dtype.names
+
+
 @dataclass(frozen=True, slots=True)
 class SampleBlock:
     """Consecutive samples: `samples` of dtype SAMPLE_DTYPE and shape (n,).

@@ -190,10 +190,12 @@ def read_activity(pid: int) -> ProcessActivity:
     return ProcessActivity(fields[0], int(fields[11]) + int(fields[12]))
 
 
-def start_child_process(process: BaseProcess) -> None:
-    """Start a process and then lower it to the usual priority: while it loads, its parent waits for it."""
+def start_child_process(process: BaseProcess) -> int:
+    """Start a process, lower it to the usual priority, because its parent waits while it loads, and return its id."""
     process.start()
+    assert process.pid is not None
     os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
+    return process.pid
 
 
 def _lock_memory() -> bool:

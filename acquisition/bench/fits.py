@@ -107,7 +107,7 @@ def fit_tare(rest: RawSignals, tool: Tool) -> CalibrationFit:
     )
 
 
-def fit_strain(weights_n: Sequence[float], readings: Sequence[RawSignals], tool: Tool) -> CalibrationFit:
+def fit_strain(weights_n: Sequence[float] | np.ndarray, readings: Sequence[RawSignals], tool: Tool) -> CalibrationFit:
     """Fit Eq. (1) to known pulls on the handle, N, in the order of reading; rest (0 N) is one of them.
 
     Raises:
@@ -164,7 +164,7 @@ def fit_strain(weights_n: Sequence[float], readings: Sequence[RawSignals], tool:
     )
 
 
-def check_pulls(weights_n: Sequence[float]) -> np.ndarray:
+def check_pulls(weights_n: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the pulls as an array.
 
     Raises:
@@ -240,7 +240,7 @@ def fit_stretch(passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
     )
 
 
-def fit_geometry(gauges_m: Sequence[float], passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
+def fit_geometry(gauges_m: Sequence[float] | np.ndarray, passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
     """Fit the opening of the jaws and the ratio of handle to encoder, Eqs. (4) to (6), to gauges of known thickness.
 
     Args:
@@ -314,7 +314,7 @@ def fit_geometry(gauges_m: Sequence[float], passes: Sequence[LoadingPass], tool:
     )
 
 
-def check_gauges(gauges_m: Sequence[float]) -> np.ndarray:
+def check_gauges(gauges_m: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the thicknesses as an array.
 
     Raises:

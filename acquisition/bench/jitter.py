@@ -15,7 +15,7 @@ from acquisition.acquisition_loop import AcquisitionController
 from acquisition.bench.checks import lateness_ms
 from acquisition.bench.jaw_motion import count_blocks
 from acquisition.drivers.nidaq import NidaqSource
-from acquisition.worker_process import apply_realtime
+from acquisition.worker_process import RealtimeGrant, apply_realtime
 from config.errors import ToolError
 from config.schema import RealtimeSettings, Settings, TissueLibrary, Tool
 
@@ -78,6 +78,7 @@ def _measure_in_process(
     source, _ = open_tool(tool, library, next(iter(library.tissues)), 0)
     most, blocks, ended = count_blocks(seconds, tool), 0, None
     ticks, done_ns = np.empty(most), np.empty(most, np.int64)
+    granted: RealtimeGrant | None = None
     try:
         with source:
             acquisition = AcquisitionController(source, tool, settings.conditioning)
@@ -87,11 +88,12 @@ def _measure_in_process(
             while blocks < most:
                 granted.priority.renew()
                 block = acquisition.process_block()
+                assert block is not None  # a board's samples do not end
                 ticks[blocks], done_ns[blocks] = block.samples["tick"][-1], time.monotonic_ns()
                 blocks += 1
     except ToolError as error:
         ended = str(error)
-    if blocks < 2:
+    if granted is None or blocks < 2:
         line.send(ended)
         return
     late_ms = lateness_ms(ticks[:blocks], done_ns[:blocks])[1]

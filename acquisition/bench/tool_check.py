@@ -141,12 +141,14 @@ class HardwareCheck:
     def _measure_round_trip(self, source: NidaqSource, jaws: EmptyJaws) -> int:
         """Return the samples from the write of a zero command to its first read-back."""
         written = source.write_command(0.0)
+        seen_tick = written.earliest_tick
         for _ in range(count_blocks(0.5, self._tool)):
             block = jaws.read_block()
             low = np.flatnonzero(block.motor_command_v < LEVELS_V[-1] / 2)
+            seen_tick = block.first_tick + (int(low[0]) if len(low) else len(block))
             if len(low):
                 break
-        return block.first_tick + (int(low[0]) if len(low) else len(block)) - written.earliest_tick
+        return seen_tick - written.earliest_tick
 
 
 def _skip_checks(names: tuple[str, ...], failed: str) -> Iterator[CheckResult]:

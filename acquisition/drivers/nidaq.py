@@ -30,7 +30,7 @@ from config.schema import Board, Tool
 _BOARD_ERRORS = (DaqBaseError, OSError)
 
 READ_TIMEOUT_MARGIN_S = 0.008  # beyond the duration of a block: without samples the force is not known
-_WRITE_TIMEOUT_S = 1.0
+_WRITE_TIMEOUT_S = 1
 COUNT_INTERVAL_NS, MAX_COUNT_LATENCY_NS, MAX_COUNT_AGE_NS = 100_000_000, 2_000_000, 1_000_000_000
 _GRPC_OPTIONS = (("grpc.max_reconnect_backoff_ms", 200), ("grpc.initial_reconnect_backoff_ms", 50))
 
@@ -204,7 +204,10 @@ class NidaqSource:
             self._terminal(self._tool.channels.motor_command), min_val=0.0, max_val=self._tool.limits.max_command_v
         )
         task.start()  # a started task accepts a write without starting and stopping itself each time
-        self._motor_writer = AnalogSingleChannelWriter(task.out_stream, auto_start=False)
+        self._motor_writer = AnalogSingleChannelWriter(
+            task.out_stream,
+            auto_start=False,  # pyright: ignore[reportArgumentType]  nidaqmx declares no type, and its default is a marker
+        )
         self._motor_writer.write_one_sample(0.0, _WRITE_TIMEOUT_S)
 
     def _open_encoder(self) -> nidaqmx.Task:
@@ -281,7 +284,11 @@ class NidaqSource:
 def create_session_options(tool: Tool) -> nidaqmx.GrpcSessionOptions | None:
     """Return the session options for the server that the tool file names, or None for the installed driver."""
     board = tool.board
-    return nidaqmx.GrpcSessionOptions(_open_grpc_channel(board), "") if board.grpc_address else None
+    if not board.grpc_address:
+        return None
+    # a frozen model can be hashed, which the checker does not learn from `model_config`
+    channel = _open_grpc_channel(board)  # pyright: ignore[reportArgumentType]
+    return nidaqmx.GrpcSessionOptions(channel, "")
 
 
 @functools.cache
@@ -357,8 +364,8 @@ def read_board_info(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None 
     device = Device(tool.board.device, grpc_options=grpc_options or create_session_options(tool))
     try:
         channels = (device.ai_physical_chans, device.ao_physical_chans, device.ci_physical_chans)
-        names = [tuple(name.partition("/")[2] for name in each.channel_names) for each in channels]
-        return BoardInfo(device.product_type, *names, tuple(device.ai_voltage_rngs[1::2]))
+        inputs, outputs, counters = (tuple(name.partition("/")[2] for name in each.channel_names) for each in channels)
+        return BoardInfo(device.product_type, inputs, outputs, counters, tuple(device.ai_voltage_rngs[1::2]))
     except _BOARD_ERRORS as error:
         raise ToolError(_describe_error(error, tool)) from error
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from acquisition.recordings.protobuf_rows import Column, RowLayout
-from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag, field_names
 
 PROFILE = "graspwatch"
 FORMAT_VERSION = 1
@@ -39,7 +39,7 @@ RAW_LAYOUT = RowLayout(
         Column(LIMIT_COLUMN),
     ],
 )
-CONDITIONED_COLUMNS = tuple(name for name in SAMPLE_DTYPE.names if name not in (*SIGNAL_COLUMNS, LIMIT_COLUMN))
+CONDITIONED_COLUMNS = tuple(name for name in field_names(SAMPLE_DTYPE) if name not in (*SIGNAL_COLUMNS, LIMIT_COLUMN))
 CONDITIONED_LAYOUT = RowLayout(
     "Conditioned",
     [Column(name, "u4" if name == "flags" else SAMPLE_DTYPE[name].str[1:]) for name in CONDITIONED_COLUMNS],

@@ -15,7 +15,18 @@ from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Metadata, Schema, Statistics
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import StreamReader
 from zstandard import ZstdError
 
@@ -36,13 +47,13 @@ MESSAGE_HEADER_DTYPE = np.dtype(
         ("publish_ns", "<u8"),
     ]
 )
-_READ_RECORD_TYPES = {
+_READ_RECORD_TYPES: dict[int, type[Header | Metadata | Attachment | Chunk]] = {
     Opcode.HEADER: Header,
     Opcode.METADATA: Metadata,
     Opcode.ATTACHMENT: Attachment,
     Opcode.CHUNK: Chunk,
 }
-_DECLARATION_TYPES = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+_DECLARATION_TYPES: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 DAMAGE_ERRORS = (McapError, ZstdError, DecodeError, LookupError, ValueError, OverflowError, MemoryError, struct.error)
 COPY_AGAIN_TEXT = "Copy it again from where it was recorded."
 
@@ -157,7 +168,7 @@ class McapFile:
                 case Statistics():
                     counts = record.channel_message_counts
                     self.message_counts = {topic: counts.get(channel, 0) for channel, topic in topics.items()}
-                case _ if getattr(record, "name", "") == END_METADATA_NAME:
+                case MetadataIndex() if record.name == END_METADATA_NAME:
                     ended_at = record.offset
                 case Footer():
                     break

@@ -101,7 +101,7 @@ class GraspTracker:
 
     def _begin_grasp(self, tick: int) -> None:
         """Start the grasp at the sample after the last one at zero command, and set the encoder's zero there."""
-        start = 0  # samples to go back
+        start, encoder_zero = 0, self._recent_samples[-1][2]  # samples to go back, and the encoder there
         for command_v, _, encoder_deg in reversed(self._recent_samples):
             if command_v <= COMMAND_ZERO_V:
                 break

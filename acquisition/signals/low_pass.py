@@ -18,7 +18,10 @@ class LowPassFilter:
         from scipy import signal  # the import takes most of a second: not for processes that only import this module
 
         self._signal = signal
-        self._b, self._a = signal.butter(settings.butterworth_order, settings.butterworth_cutoff_hz, fs=rate_hz)
+        # scipy declares no types, and this form of the call always returns a pair
+        self._b, self._a = signal.butter(  # pyright: ignore[reportAssignmentType, reportGeneralTypeIssues]
+            settings.butterworth_order, settings.butterworth_cutoff_hz, fs=rate_hz
+        )
         self._state: np.ndarray | None = None
 
     def __call__(self, values: np.ndarray) -> np.ndarray:

@@ -68,10 +68,9 @@ class FaultySensors:
                 self._frozen_readings = self._last_readings
             self._last_readings = self._plant.step(command_v)
             self.sample_count += 1
-            is_broken = (
-                self._fault is not None and self.fault_sample is not None and self.sample_count > self.fault_sample
-            )
-            return self._apply_fault(self._last_readings, self._fault) if is_broken else self._last_readings
+            if self._fault is None or self.fault_sample is None or self.sample_count <= self.fault_sample:
+                return self._last_readings
+            return self._apply_fault(self._last_readings, self._fault)
 
     def _apply_fault(self, sound: SensorReadings, fault: SensorFault) -> SensorReadings:
         strain_v, encoder_deg, *touch_v = sound

@@ -17,7 +17,7 @@ from acquisition.simulation.board import BoardError, ChannelKind, SimulatedBoard
 _DRIVER_VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}  # attributes of the system: major, minor, update
 _ARM_START_SOURCE = 0x1417
 _TASK_CHANNELS = 0x1273
-_CHANNEL_ATTRIBUTES = {
+_CHANNEL_ATTRIBUTES: dict[int, ChannelKind] = {
     pb.DEVICE_ATTRIBUTE_AI_PHYSICAL_CHANS: ChannelKind.ANALOG_IN,
     pb.DEVICE_ATTRIBUTE_AO_PHYSICAL_CHANS: ChannelKind.ANALOG_OUT,
     pb.DEVICE_ATTRIBUTE_CI_PHYSICAL_CHANS: ChannelKind.ENCODER,
@@ -28,7 +28,8 @@ _COUNTS_PER_PULSE = {EncoderType.X_1.value: 1, EncoderType.X_2.value: 2, Encoder
 
 def create_in_process_options(board: SimulatedBoard) -> nidaqmx.GrpcSessionOptions:
     """Return the session options with which nidaqmx or `NidaqSource` reaches `board` by plain function calls."""
-    return nidaqmx.GrpcSessionOptions(InProcessChannel(BoardService(board)), "")
+    service = BoardService(board)  # pyright: ignore[reportAbstractUsage]  only the stub calls the base class abstract
+    return nidaqmx.GrpcSessionOptions(InProcessChannel(service), "")
 
 
 def serve_tcp(
@@ -40,13 +41,14 @@ def serve_tcp(
         RuntimeError: the address is taken.
     """
     server = grpc.server(ThreadPoolExecutor(max_workers=4, thread_name_prefix="simulated-board"))
-    add_NiDAQmxServicer_to_server(BoardService(board), server)
+    service = BoardService(board)  # pyright: ignore[reportAbstractUsage]  only the stub calls the base class abstract
+    add_NiDAQmxServicer_to_server(service, server)
     port = server.add_secure_port(address, credentials) if credentials else server.add_insecure_port(address)
     server.start()
     return server, port
 
 
-def _convert_board_errors(method: Callable[[Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
+def _convert_board_errors(method: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     """Convert a BoardError to the status and metadata in which nidaqmx looks for the error code."""
 
     @functools.wraps(method)
@@ -207,7 +209,7 @@ class InProcessError(grpc.RpcError):
     def details(self) -> str:
         return self._text
 
-    def trailing_metadata(self) -> tuple[_Metadatum, ...]:
+    def trailing_metadata(self) -> tuple[Any, ...]:  # of the stub's type, which grpc itself does not have
         return self._metadata
 
 
@@ -229,7 +231,8 @@ class InProcessChannel(grpc.Channel):
     def __init__(self, service: BoardService) -> None:
         self._service = service
 
-    def unary_unary(self, method: str, *_: Any, **__: Any) -> Callable[..., Any]:
+    def unary_unary(self, method: str, *_: Any, **__: Any) -> Any:
+        """Return a function that calls the method, in place of grpc's own callable class."""
         name = method.rpartition("/")[2]
         call = getattr(self._service, name) if name in vars(BoardService) else None
 
@@ -240,7 +243,7 @@ class InProcessChannel(grpc.Channel):
 
         return invoke
 
-    def unary_stream(self, method: str, *_: Any, **__: Any) -> Callable[..., Any]:
+    def unary_stream(self, method: str, *_: Any, **__: Any) -> Any:
         return self.unary_unary(method)  # streams carry DAQmx events, none of which the service has
 
     stream_unary = stream_stream = unary_stream

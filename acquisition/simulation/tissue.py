@@ -78,7 +78,16 @@ class Specimen:
 
 
 @njit(cache=True)
-def integrate_tissue(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, material):
+def integrate_tissue(
+    x_m: float,
+    v_m_per_s: float,
+    relaxed_n: float,
+    begin_n: float,
+    end_n: float,
+    dt_s: float,
+    moved_m: float,
+    material: Material,
+) -> tuple[float, float, float]:
     """Return displacement, velocity and relaxed force after `dt_s`, under a force linear from `begin_n` to `end_n`.
 
     `moved_m` is how far the tissue has been moved against the jaws. The method, 4th-order Runge-Kutta, differs from the
@@ -104,7 +113,9 @@ def integrate_tissue(x_m, v_m_per_s, relaxed_n, begin_n, end_n, dt_s, moved_m, m
 
 
 @njit(cache=True)
-def _compute_derivatives(x_m, v_m_per_s, relaxed_n, force_n, material):
+def _compute_derivatives(
+    x_m: float, v_m_per_s: float, relaxed_n: float, force_n: float, material: Material
+) -> tuple[float, float]:
     """Return the acceleration, m/s², and the growth of the relaxed part of the elastic force, N/s."""
     elastic_n = material.alpha_n * math.expm1(min(material.beta_per_m * x_m, 50.0))
     if material.plateau_n > 0.0 and x_m > 0.0:
