@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.sample_block import field_names
 from estimator.force_alarms import ForceAlarm
 
 
@@ -35,7 +36,7 @@ def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
     """Return rows for these ticks with NaN in every other column."""
     rows = np.empty(len(ticks), dtype)
     rows["tick"] = ticks
-    for name in dtype.names[1:]:
+    for name in field_names(dtype)[1:]:
         rows[name] = np.nan
     return rows
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from acquisition.recordings import mcap_layout
 from acquisition.recordings.protobuf_rows import Column, RowLayout
+from acquisition.sample_block import field_names
 from estimator.estimate_block import estimate_dtype
 
 # estimate fields with one number for each parameter, and their columns
@@ -13,10 +14,10 @@ PARAMETER_COLUMNS = {"log_sd": ("log_alpha_sd", "log_beta_sd", "log_damping_sd")
 def estimate_layout(tissues: list[str]) -> RowLayout:
     """Return the row layout of the estimates for a library with these tissues."""
     dtype = estimate_dtype(len(tissues))
-    common = [name for name in dtype.names if not dtype[name].shape]
+    common = [name for name in field_names(dtype) if not dtype[name].shape]
     columns = [Column(name, dtype[name].str[1:]) for name in common]
     for tissue in tissues:
-        for name in dtype.names:
+        for name in field_names(dtype):
             if name not in common:
                 columns += [Column(each, group=tissue) for each in PARAMETER_COLUMNS.get(name, (name,))]
     return RowLayout("Estimates", columns)
@@ -34,7 +35,7 @@ def row_layouts(tissues: list[str]) -> dict[str, RowLayout]:
 def estimate_columns(estimates: np.ndarray, tissues: list[str]) -> dict[str, np.ndarray]:
     """Return the columns, each of shape (n,), by path (`name` or `tissue.name`)."""
     columns = {}
-    for name in estimates.dtype.names:
+    for name in field_names(estimates.dtype):
         values = estimates[name]
         if values.ndim == 1:
             columns[name] = values

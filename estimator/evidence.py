@@ -99,8 +99,19 @@ class ThicknessEvidence:
 
 @compiled
 def compute_posterior(
-    mean, cov, fit, valid, taken, surprise, guess, guess_var, tissue_mean, tissue_var, log_prior, result
-):
+    mean: np.ndarray,
+    cov: np.ndarray,
+    fit: np.ndarray,
+    valid: np.ndarray,
+    taken: int,
+    surprise: float,
+    guess: np.ndarray,
+    guess_var: np.ndarray,
+    tissue_mean: np.ndarray,
+    tissue_var: np.ndarray,
+    log_prior: np.ndarray,
+    result: np.ndarray,
+) -> None:
     """Write the posterior probabilities into `result`, (M + 1,); `unknown` gets 1 if no filter is valid."""
     tissues = len(guess)
     result[:] = -np.inf
@@ -130,7 +141,9 @@ def compute_posterior(
 
 
 @compiled
-def compute_parameter_likelihood(mean, cov, guess, prior_var):
+def compute_parameter_likelihood(
+    mean: np.ndarray, cov: np.ndarray, guess: np.ndarray, prior_var: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the data's information matrix (3, 3) and information vector (3,) of the log parameters.
 
     It is the filter's posterior divided by the rest of its prior; the matrix is positive semi-definite.
@@ -161,7 +174,9 @@ def compute_parameter_likelihood(mean, cov, guess, prior_var):
 
 
 @compiled
-def compute_marginal_log_likelihood(information, vector, tissue_mean, tissue_var):
+def compute_marginal_log_likelihood(
+    information: np.ndarray, vector: np.ndarray, tissue_mean: np.ndarray, tissue_var: np.ndarray
+) -> float:
     """Return the log of the integral of likelihood times Gaussian prior, up to a constant common to all tissues.
 
     -inf if the product is not a density. The Cholesky factorization of the joint information is written out, because
@@ -192,7 +207,7 @@ def compute_marginal_log_likelihood(information, vector, tissue_mean, tissue_var
 
 
 @compiled
-def normalize_log_weights(log_weights):
+def normalize_log_weights(log_weights: np.ndarray) -> None:
     """Convert log weights to probabilities that sum to 1, in place."""
     log_weights -= log_weights.max()
     np.exp(log_weights, log_weights)

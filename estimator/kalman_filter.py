@@ -53,7 +53,18 @@ class FilterNoise(NamedTuple):
 
 
 @compiled
-def process_sample(mean, cov, fit, about, before, sample, noise, step, rows, gain):
+def process_sample(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    fit: np.ndarray,
+    about: np.ndarray,
+    before: np.ndarray,
+    sample: np.ndarray,
+    noise: FilterNoise,
+    step: np.ndarray,
+    rows: np.ndarray,
+    gain: np.ndarray,
+) -> None:
     """Predict the state from the sample `before` to `sample` and correct it, in place.
 
     Args:
@@ -76,7 +87,16 @@ def process_sample(mean, cov, fit, about, before, sample, noise, step, rows, gai
 
 
 @compiled
-def predict(mean, cov, about, before, sample, noise, step, rows):
+def predict(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    about: np.ndarray,
+    before: np.ndarray,
+    sample: np.ndarray,
+    noise: FilterNoise,
+    step: np.ndarray,
+    rows: np.ndarray,
+) -> None:
     """Time update over one sample, Eqs. (14), (15), (19), (20) with a stable step; see `process_sample`."""
     alpha, beta, damping, mass = math.exp(about[0]), math.exp(about[1]), math.exp(about[2]), math.exp(about[3])
     x, v = mean[X], mean[V]
@@ -158,7 +178,15 @@ def predict(mean, cov, about, before, sample, noise, step, rows):
 
 
 @compiled
-def update(mean, cov, displacement_m, metre_per_volt, noise, learns, gain):
+def update(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    displacement_m: float,
+    metre_per_volt: float,
+    noise: FilterNoise,
+    learns: bool,
+    gain: np.ndarray,
+) -> tuple[float, float, float]:
     """Measurement update for y = x + offset + (dx/dV) strain + noise, Eqs. (16) to (18).
 
     If `learns` is False, parameters and mass keep mean and covariance, and all else is corrected (Schmidt filter).
@@ -187,7 +215,7 @@ def update(mean, cov, displacement_m, metre_per_volt, noise, learns, gain):
 
 
 @compiled
-def project_covariance(cov, metre_per_volt, gain):
+def project_covariance(cov: np.ndarray, metre_per_volt: float, gain: np.ndarray) -> float:
     """Write P Hᵀ into `gain` (9,) and return H P Hᵀ, m²."""
     for j in range(STATE_COUNT):
         gain[j] = cov[j, X] + cov[j, OFFSET] + metre_per_volt * cov[j, STRAIN_NOISE]
@@ -195,7 +223,7 @@ def project_covariance(cov, metre_per_volt, gain):
 
 
 @compiled
-def inflate_covariance(cov, factor):
+def inflate_covariance(cov: np.ndarray, factor: float) -> None:
     """Multiply the covariance of all states but the strain noise by `factor`, in place."""
     root = math.sqrt(factor)
     for j in range(STATE_COUNT):
@@ -204,7 +232,7 @@ def inflate_covariance(cov, factor):
 
 
 @compiled
-def is_healthy(mean, cov, guess):
+def is_healthy(mean: np.ndarray, cov: np.ndarray, guess: np.ndarray) -> bool:
     """Return False if a filter has diverged: not finite, a negative variance, or a parameter far from its guess."""
     for j in range(STATE_COUNT):
         if not (math.isfinite(mean[j]) and cov[j, j] >= 0.0):
@@ -216,7 +244,18 @@ def is_healthy(mean, cov, guess):
 
 
 @compiled
-def repeat_pass(mean, cov, fit, about, guess, samples, noise, step, rows, gain):
+def repeat_pass(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    fit: np.ndarray,
+    about: np.ndarray,
+    guess: np.ndarray,
+    samples: np.ndarray,
+    noise: FilterNoise,
+    step: np.ndarray,
+    rows: np.ndarray,
+    gain: np.ndarray,
+) -> bool:
     """Process all `samples` of the grasp again, linearized about `about`; return whether the filter stayed healthy.
 
     `mean` and `cov` hold the state at the first sample. It is one Gauss-Newton step in the parameters.
@@ -231,7 +270,7 @@ def repeat_pass(mean, cov, fit, about, guess, samples, noise, step, rows, gain):
 
 
 @compiled
-def is_force_rising(history, taken, force_n):
+def is_force_rising(history: np.ndarray, taken: int, force_n: float) -> bool:
     """Return whether the force has risen by more than its noise over the last samples, or the grasp just began."""
     if taken <= RISE_SPAN_SAMPLES + RISE_MEAN_SAMPLES:
         return True
@@ -245,22 +284,22 @@ def is_force_rising(history, taken, force_n):
 
 @compiled
 def advance_bank(
-    samples,
-    history,
-    taken,
-    noises,
-    second_pass_at,
-    guess,
-    first_mean,
-    first_cov,
-    mean,
-    cov,
-    fit,
-    valid,
-    surprise,
-    shown_mean,
-    shown_var,
-):
+    samples: np.ndarray,
+    history: np.ndarray,
+    taken: np.ndarray,
+    noises: tuple[FilterNoise, ...],
+    second_pass_at: np.ndarray,
+    guess: np.ndarray,
+    first_mean: np.ndarray,
+    first_cov: np.ndarray,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    fit: np.ndarray,
+    valid: np.ndarray,
+    surprise: np.ndarray,
+    shown_mean: np.ndarray,
+    shown_var: np.ndarray,
+) -> None:
     """Advance all K filters over `samples`, (n, 5): for each of `noises` one filter for each of M tissues.
 
     Args:
@@ -325,7 +364,7 @@ def advance_bank(
 
 
 @compiled
-def find_most_likely(first, until, fit, valid):
+def find_most_likely(first: int, until: int, fit: np.ndarray, valid: np.ndarray) -> int:
     """Return the valid filter from `first` to before `until` with the highest likelihood; -1 if there is none."""
     best = -1
     for k in range(first, until):
@@ -335,6 +374,6 @@ def find_most_likely(first, until, fit, valid):
 
 
 @compiled
-def is_tracking(k, fit, valid):
+def is_tracking(k: int, fit: np.ndarray, valid: np.ndarray) -> bool:
     """Return whether filter k has neither diverged nor lost the data at present."""
     return valid[k] and fit[k, NIS_RECENT] < NIS_DIVERGED

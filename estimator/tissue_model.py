@@ -28,7 +28,9 @@ def tangent_stiffness(alpha_n: float, beta_per_m: float, x_m: float) -> float:
 
 
 @compiled
-def step_matrices(mass_kg, stiffness_n_per_m, damping_kg_per_s, dt_s, step):
+def step_matrices(
+    mass_kg: float, stiffness_n_per_m: float, damping_kg_per_s: float, dt_s: float, step: np.ndarray
+) -> None:
     """Compute the exact step of m x'' + d x' + k x = u over dt, for u that changes linearly from u0 to u1.
 
     The result goes into `step`, shape (2, 4), with rows for displacement and velocity. Columns 0 and 1 hold the
@@ -62,6 +64,6 @@ def step_matrices(mass_kg, stiffness_n_per_m, damping_kg_per_s, dt_s, step):
     step[1, 3] = held_x
 
 
-def force_curve(alpha_n: float, beta_per_m: float, x_m: np.ndarray) -> np.ndarray:
+def force_curve(alpha_n: np.ndarray | float, beta_per_m: np.ndarray | float, x_m: np.ndarray) -> np.ndarray:
     """Return alpha (exp(beta x) - 1) for an array of displacements, N."""
     return alpha_n * np.expm1(np.minimum(beta_per_m * x_m, EXPONENT_LIMIT))

@@ -64,7 +64,7 @@ class ReferenceFilter(ExtendedKalmanFilter):
         self.predict()
         self._correct(sample, is_rising or self._noise.learns_held > 0)
 
-    def predict_x(self, u=0) -> None:
+    def predict_x(self, u: np.ndarray | float = 0) -> None:
         self.x = self._predicted
 
     def _linearize(self, before: np.ndarray, sample: np.ndarray, linearization_point: np.ndarray) -> None:

@@ -86,20 +86,20 @@ class PaperFilterBank:
 
 @compiled
 def _advance_bank(
-    force_n,
-    displacement_m,
-    before_n,
-    mass_kg,
-    dt_s,
-    force_var,
-    displacement_var,
-    walk_var,
-    mean,
-    cov,
-    log_likelihood,
-    valid,
-    means,
-):
+    force_n: np.ndarray,
+    displacement_m: np.ndarray,
+    before_n: np.ndarray,
+    mass_kg: float,
+    dt_s: float,
+    force_var: float,
+    displacement_var: float,
+    walk_var: np.ndarray,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    log_likelihood: np.ndarray,
+    valid: np.ndarray,
+    means: np.ndarray,
+) -> None:
     step, transition = np.empty((2, 4)), np.eye(STATE_COUNT)
     for i in range(len(force_n)):
         for k in range(len(mean)):
@@ -119,7 +119,17 @@ def _advance_bank(
 
 
 @compiled
-def _predict(mean, cov, force_n, mass_kg, dt_s, force_var, walk_var, step, transition):
+def _predict(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    force_n: float,
+    mass_kg: float,
+    dt_s: float,
+    force_var: float,
+    walk_var: np.ndarray,
+    step: np.ndarray,
+    transition: np.ndarray,
+) -> None:
     x, v, alpha, beta, damping = mean
     elastic = elastic_force(alpha, beta, x)
     stiffness = max(tangent_stiffness(alpha, beta, x), 1e-3)

@@ -13,7 +13,7 @@ from config.schema import IdentificationSettings, TissueLibrary, Tool
 from estimator.compilation import compiled
 from estimator.constants import VELOCITY_SD_M_PER_S
 from estimator.filter_bank import ContactStart, FilterTuning, TissuePriors, bank_columns, build_filter_tunings
-from estimator.kalman_filter import DISPLACEMENT, ELAPSED_S, FORCE, METRE_PER_VOLT, NEWTON_PER_VOLT
+from estimator.kalman_filter import DISPLACEMENT, ELAPSED_S, FORCE, METRE_PER_VOLT, NEWTON_PER_VOLT, FilterNoise
 from estimator.tissue_model import elastic_force, step_matrices, tangent_stiffness
 
 PARTICLES_PER_TISSUE = 400
@@ -105,7 +105,15 @@ class ParticleIdentifier:
 
 
 @compiled
-def _process_sample(log, state, cov, log_weight, before, sample, noise):
+def _process_sample(
+    log: np.ndarray,
+    state: np.ndarray,
+    cov: np.ndarray,
+    log_weight: np.ndarray,
+    before: np.ndarray,
+    sample: np.ndarray,
+    noise: FilterNoise,
+) -> None:
     """Process one sample for all particles of a tissue."""
     step, move, gain = np.empty((2, 4)), np.zeros((4, 4)), np.empty(4)
     move[2, 2] = 1.0

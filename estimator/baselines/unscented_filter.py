@@ -27,6 +27,7 @@ from estimator.kalman_filter import (
     NIS_SUM,
     STATE_COUNT,
     STRAIN_NOISE,
+    FilterNoise,
     V,
     X,
     is_healthy,
@@ -68,7 +69,16 @@ def build_unscented_identifier(tool: Tool, library: TissueLibrary, settings: Ide
 
 
 @compiled
-def _process_sample(before, sample, noise, guess, mean, cov, fit, valid):
+def _process_sample(
+    before: np.ndarray,
+    sample: np.ndarray,
+    noise: FilterNoise,
+    guess: np.ndarray,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    fit: np.ndarray,
+    valid: np.ndarray,
+) -> None:
     points, step, gain = np.empty((2 * STATE_COUNT + 1, STATE_COUNT)), np.empty((2, 4)), np.empty(STATE_COUNT)
     for k in range(len(mean)):
         if not valid[k]:
@@ -84,7 +94,15 @@ def _process_sample(before, sample, noise, guess, mean, cov, fit, valid):
 
 
 @compiled
-def _predict(mean, cov, before, sample, noise, points, step):
+def _predict(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    before: np.ndarray,
+    sample: np.ndarray,
+    noise: FilterNoise,
+    points: np.ndarray,
+    step: np.ndarray,
+) -> None:
     """Move 19 sigma points through the step, each linearized at itself, and compute their mean and covariance."""
     weight = 0.5 / (STATE_COUNT + UNSCENTED_LAMBDA)
     root = _compute_cholesky_factor(cov)
@@ -122,7 +140,7 @@ def _predict(mean, cov, before, sample, noise, points, step):
 
 
 @compiled
-def _compute_cholesky_factor(cov):
+def _compute_cholesky_factor(cov: np.ndarray) -> np.ndarray:
     """Return the lower Cholesky factor of a positive semi-definite matrix; a state without variance gives zeros."""
     n = len(cov)
     root = np.zeros((n, n))

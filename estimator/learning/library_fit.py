@@ -55,7 +55,8 @@ def fit_library(
     tissues = {}
     for i, label in enumerate(labels):
         own = np.flatnonzero(tissue == i)
-        within = shrunk_scatter(*([part[k] for k in own] for part in _groups(curves, loading)), loading[2])
+        features, centres, weights = ([part[k] for k in own] for part in _groups(curves, loading))
+        within = shrunk_scatter(features, centres, weights, loading[2])
         learned = LearnedTissue(
             grasps=sum(len(curves[k].features) for k in own),
             log_covariance=_round_matrix(parameters[label][1]),

@@ -1,6 +1,7 @@
 """Recorded grasps for learning, and the reasons why some are left out."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,7 +65,7 @@ class LoadingCurves:
     left_out: list[str] = field(default_factory=list)  # other grasps, with the reason
 
 
-def estimate_usual_peak_v(recordings: list[LabeledRecording]) -> float:
+def estimate_usual_peak_v(recordings: Sequence[LabeledRecording]) -> float:
     """Return the peak strain voltage that grasps of all recordings reach, V, to a millivolt; NaN without usable grasps.
 
     It is the lowest of the recordings' medians, but at least `MIN_PEAK_SHARE` of the median recording.

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from acquisition.sample_block import SampleBlock
+from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
 from config.load import load_library, load_protocol, load_settings, load_tool
 from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 from estimator.decision import UNDECIDED
@@ -104,10 +105,12 @@ def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistor
     )
 
 
-def build_balanced_cases(library: TissueLibrary, grasps: int, seed: int, **changes) -> list[GraspCase]:
+def build_balanced_cases(
+    library: TissueLibrary, grasps: int, seed: int, deviation: ModelDeviation = NO_DEVIATION
+) -> list[GraspCase]:
     """Return `grasps` cases of every tissue of the library, each with its own seed."""
     return [
-        GraspCase(tissue, seed * 1_000_000 + number * 10_000 + grasp, **changes)
+        GraspCase(tissue, seed * 1_000_000 + number * 10_000 + grasp, deviation)
         for number, tissue in enumerate(library.tissues)
         for grasp in range(grasps)
     ]

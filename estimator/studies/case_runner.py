@@ -8,8 +8,8 @@ from typing import TypeVar
 
 from config.errors import GraspwatchError
 
-CaseT = TypeVar("C")
-ResultT = TypeVar("R")
+CaseT = TypeVar("CaseT")
+ResultT = TypeVar("ResultT")
 Progress = Callable[[int, int], None]  # done, total
 
 

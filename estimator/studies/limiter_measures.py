@@ -8,7 +8,7 @@ from acquisition.safety.force_limiter import THRESHOLD_SETTLING_S
 from acquisition.sample_block import SampleFlag
 from config.schema import TissueLibrary, Tool
 from estimator.studies.limiter_cases import HOLD_S, LimitedCase
-from estimator.studies.limiter_simulation import LEAD_IN_S, LimitedRun, build_protocol
+from estimator.studies.limiter_simulation import LEAD_IN_S, LimitedRun, build_waveform
 
 SETTLING_TOLERANCE = 0.05  # share of the force held in the end
 MIN_SWING_V = 0.05  # a smaller swing of the command, 0.025 N, is no chatter
@@ -55,7 +55,7 @@ def measure_outcome(
     counts_n = compute_rolling_max(limit_n, round(THRESHOLD_SETTLING_S * rate_hz))
     peaks, n = force_n / counts_n, min(len(unlimited_force_n), len(force_n))
     later, let_go = samples["grasp"] > 1, samples["flags"] & SampleFlag.RELEASED > 0
-    end = round((LEAD_IN_S + build_protocol(case, tool).waveform.ramp_up_s + HOLD_S) * rate_hz)
+    end = round((LEAD_IN_S + build_waveform(case, tool).ramp_up_s + HOLD_S) * rate_hz)
     hold = slice(end - round(EVALUATED_HOLD_S * rate_hz), end)
     held_n = float(np.median(force_n[hold]))
     allowed_n = min(float(np.median(limit_n[hold])), case.gain_ratio * case.requested_force_n)

@@ -67,9 +67,9 @@ class LimitedRun:
     fault: str = ""  # why the run ended early, with the motor at zero afterwards
 
 
-def build_protocol(case: LimitedCase, tool: Tool) -> GraspProtocol:
+def build_waveform(case: LimitedCase, tool: Tool) -> TrapezoidWaveform:
     peak_v = float(tool.command_to_force.to_command_v(case.requested_force_n))
-    waveform = TrapezoidWaveform(
+    return TrapezoidWaveform(
         shape="trapezoid",
         peak_v=peak_v,
         ramp_up_s=peak_v / case.ramp_v_per_s,
@@ -77,7 +77,10 @@ def build_protocol(case: LimitedCase, tool: Tool) -> GraspProtocol:
         ramp_down_s=RAMP_DOWN_S,
         rest_s=REST_S,
     )
-    return GraspProtocol(name="limited", title="Limited", lead_in_s=LEAD_IN_S, waveform=waveform)
+
+
+def build_protocol(case: LimitedCase, tool: Tool) -> GraspProtocol:
+    return GraspProtocol(name="limited", title="Limited", lead_in_s=LEAD_IN_S, waveform=build_waveform(case, tool))
 
 
 def build_true_tool(case: LimitedCase, tool: Tool) -> Tool:

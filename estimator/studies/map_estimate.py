@@ -141,7 +141,9 @@ def _compute_standard_deviations(information: np.ndarray, free: np.ndarray) -> n
 
 
 @compiled
-def _innovations(mean, cov, samples, noise):
+def _innovations(
+    mean: np.ndarray, cov: np.ndarray, samples: np.ndarray, noise: FilterNoise
+) -> tuple[np.ndarray, np.ndarray]:
     """Return innovations and their variances, (n - 1,) each, of a filter with fixed parameters."""
     n = len(samples) - 1
     found, variances = np.empty(n), np.empty(n)

@@ -15,6 +15,7 @@ from estimator.studies.answer_course import (
 from estimator.studies.case_runner import Progress, run_cases
 from estimator.studies.out_of_library import MISMATCHES
 from estimator.studies.probability_scores import Score, score_answers
+from estimator.studies.simulated_grasps import GraspCase
 from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
 
 MATCHED, CONTACT_NOT_SENSED = "matched", "contact not sensed"
@@ -79,7 +80,7 @@ def run_mismatch_study(
     return study
 
 
-def _evaluate_case(job) -> np.ndarray:
+def _evaluate_case(job: tuple[StudyConditions, GraspCase]) -> np.ndarray:
     bench, case = job
     course: ProbabilityHistory = estimate_grasp(bench, case)
     return course.probabilities[-1]

@@ -176,7 +176,7 @@ def _mean(values: np.ndarray) -> float:
     return float(values.mean())
 
 
-def _rms(values: list[np.ndarray]) -> np.ndarray:
+def _rms(values: np.ndarray) -> np.ndarray:
     return np.sqrt(np.mean(np.square(values), axis=0))
 
 
@@ -365,7 +365,13 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
     elastic_n = _compute_elastic_force(mean)[:, 0]
     draw(2, 2, elastic_n, printed_n[:, 0], run.exact_force_n[1:])
     draw(2, 3, elastic_n - run.exact_force_n[1:], printed_n[:, 0] - its_force_n, np.zeros(len(mean)))
-    figure.add_hline(y=library.threshold_n(name), row=2, col=2, line_dash="dot", annotation_text="injury threshold")
+    figure.add_hline(
+        y=library.threshold_n(name),
+        row=2,  # pyright: ignore[reportArgumentType]  plotly declares no type; its default is "all"
+        col=2,  # pyright: ignore[reportArgumentType]  as row
+        line_dash="dot",
+        annotation_text="injury threshold",
+    )
     return (
         "Figure 4: liver's states and forces, one seed (the running filters; the paper's on its delayed force)",
         figure,

@@ -157,7 +157,9 @@ class TwoSignalProblem(PosteriorProblem):
 
 
 @compiled
-def _compute_two_signal_innovations(parameters, samples, noise, bend):
+def _compute_two_signal_innovations(
+    parameters: np.ndarray, samples: np.ndarray, noise: FilterNoise, bend: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return innovations and variances of force and displacement in turn, (2 n,) each; state: x, x', force, rate."""
     alpha, beta, damping, mass = parameters
     dt = 1.0 / RATE_HZ

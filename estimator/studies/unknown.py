@@ -63,13 +63,17 @@ def run_unknown_study(
             "strangers called unknown within the grasp", _compute_unknown_share(out_of_library), "%", at_least=95.0
         ),
         KeyFigure(
-            "strangers still called unknown at its end", 100 * np.mean([a.unknown_at_end for a in out_of_library]), "%"
+            "strangers still called unknown at its end",
+            100 * float(np.mean([a.unknown_at_end for a in out_of_library])),
+            "%",
         ),
         KeyFigure("tissues of the library called unknown, ever", _compute_unknown_share(known), "%", at_most=3.0),
-        KeyFigure("the same, at the grasp's end", 100 * np.mean([a.unknown_at_end for a in known]), "%", at_most=3.0),
+        KeyFigure(
+            "the same, at the grasp's end", 100 * float(np.mean([a.unknown_at_end for a in known])), "%", at_most=3.0
+        ),
         KeyFigure(
             "strangers named as a tissue at the grasp's end",
-            100 * np.mean([a.label in library.tissues for a in out_of_library]),
+            100 * float(np.mean([a.label in library.tissues for a in out_of_library])),
             "%",
         ),
         KeyFigure("least: share called unknown", _compute_unknown_share(by_kind[least]), "%", note=least),
@@ -99,7 +103,7 @@ def run_unknown_study(
     return study
 
 
-def _evaluate_case(job) -> _UnknownAnswer:
+def _evaluate_case(job: tuple[StudyConditions, GraspCase]) -> _UnknownAnswer:
     course = estimate_grasp(*job)
     label = course.record.label
     ever = UNKNOWN in course.labels or label == UNKNOWN
@@ -118,7 +122,8 @@ def _roc(out_of_library: list[_UnknownAnswer], known: list[_UnknownAnswer]) -> t
 
 
 def _compute_roc_area(out_of_library: list[_UnknownAnswer], known: list[_UnknownAnswer]) -> float:
-    return float(np.trapezoid(*_roc(out_of_library, known)[::-1]))
+    wrong, found = _roc(out_of_library, known)
+    return float(np.trapezoid(found, wrong))
 
 
 def _plot_roc(out_of_library: list[_UnknownAnswer], known: list[_UnknownAnswer]) -> go.Figure:
