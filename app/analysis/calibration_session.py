@@ -44,7 +44,8 @@ class CalibrationSession:
         self._collected_blocks: list[SampleBlock] | None = None
         self._block_arrived = asyncio.Event()
         self._request: CalibrationRequest | None = None
-        self._readings: list[RawSignals | list[LoadingPass]] = []
+        self._rest_readings: list[RawSignals] = []
+        self._motion_readings: list[list[LoadingPass]] = []
         self.state = NO_CALIBRATION
         tool_service.block_listeners.append(self._on_block)
 
@@ -68,7 +69,7 @@ class CalibrationSession:
             values = fits.check_pulls(request.values).tolist()
         elif request.what is CalibrationKind.GEOMETRY:
             values = (fits.check_gauges([each * 1e-3 for each in request.values]) * 1e3).tolist()
-        self._request, self._readings = request, []
+        self._request, self._rest_readings, self._motion_readings = request, [], []
         self.state = NO_CALIBRATION.model_copy(update={"what": request.what, "values": values})
 
     def discard(self) -> None:
@@ -93,29 +94,34 @@ class CalibrationSession:
             CalibrationError: the reading cannot be trusted and may be repeated, or the fit cannot be trusted.
         """
         self._check_idle()
-        if self._request is None or len(self._readings) == len(self.state.values):
+        if self._request is None or self._reading_count == len(self.state.values):
             raise RefusedError("Nothing is left to read: begin a calibration.")
         if self._tool_service.runs.current:  # known before its first block arrives
             raise RefusedError("A run is under way. Stop it first.")
-        what, value = self._request.what, self.state.values[len(self._readings)]
+        request, value = self._request, self.state.values[self._reading_count]
         self._update_state(reading=True, problem=None)
         try:
-            found = await self._measure(what, value, by)
-            self._readings.append(found)
+            found = await self._measure(request.what, value, by)
+            if isinstance(found, RawSignals):
+                self._rest_readings.append(found)
+            else:
+                self._motion_readings.append(found)
             self._update_state(readings=[*self.state.readings, _summarize_reading(value, found)])
-            if len(self._readings) == len(self.state.values):
-                await self._finish(by)
+            if self._reading_count == len(self.state.values):
+                await self._finish(request, by)
         finally:
             self._collected_blocks = None
             self._update_state(reading=False)
 
+    @property
+    def _reading_count(self) -> int:
+        return len(self._rest_readings) + len(self._motion_readings)
+
     async def _measure(self, what: CalibrationKind, value: float, by: str | None) -> RawSignals | list[LoadingPass]:
         try:
-            found = (
-                await self._measure_at_rest(what, value, by)
-                if what in REST_DURATIONS_S
-                else await self._measure_in_motion(what, value, by)
-            )
+            if what not in REST_DURATIONS_S:
+                return await self._measure_in_motion(what, value, by)
+            found = await self._measure_at_rest(what, value, by)
             if what is CalibrationKind.STRAIN:
                 fits.check_steady(found, f"{value:g} N", self._load_newest_tool())
         except CalibrationError as error:
@@ -178,17 +184,17 @@ class CalibrationSession:
         if self._plan.tool.kind is ToolKind.SIMULATED:
             await self._tool_service.set_simulated_load(bus.SimulatedLoadCommand(pull_n, gauge_m))
 
-    async def _finish(self, by: str | None) -> None:
+    async def _finish(self, request: CalibrationRequest, by: str | None) -> None:
         """Fit in a thread, as the first fit loads slow modules, then write the tool file; a failure sets `problem`."""
-        asked, tool = self._request, self._load_newest_tool()
-        person = asked.person or by or getpass.getuser()
+        tool = self._load_newest_tool()
+        person = request.person or by or getpass.getuser()
         try:
-            fit = await asyncio.to_thread(self._fit, tool)
+            fit = await asyncio.to_thread(self._fit, request.what, tool)
         except CalibrationError as error:
             self._update_state(problem=f"{error} Nothing was written.")
             raise
         path = await asyncio.to_thread(
-            write_calibration_file, fit, self._tool_source, person, asked.valid_days, self._folder
+            write_calibration_file, fit, self._tool_source, person, request.valid_days, self._folder
         )
         self._tool_source = str(path)
         self._update_state(result=_build_result(fit, tool, path))
@@ -204,16 +210,16 @@ class CalibrationSession:
     def _folder(self) -> Path:
         return self._plan.data_folder / "tools"
 
-    def _fit(self, tool: Tool) -> CalibrationFit:
-        match self._request.what:
+    def _fit(self, what: CalibrationKind, tool: Tool) -> CalibrationFit:
+        match what:
             case CalibrationKind.TARE:
-                return fits.fit_tare(self._readings[0], tool)
+                return fits.fit_tare(self._rest_readings[0], tool)
             case CalibrationKind.STRAIN:
-                return fits.fit_strain(self.state.values, self._readings, tool)
+                return fits.fit_strain(self.state.values, self._rest_readings, tool)
             case CalibrationKind.STRETCH:
-                return fits.fit_stretch(self._readings[0], tool)
+                return fits.fit_stretch(self._motion_readings[0], tool)
             case CalibrationKind.GEOMETRY:
-                passes = [readings.merge_passes(found) for found in self._readings]
+                passes = [readings.merge_passes(found) for found in self._motion_readings]
                 return fits.fit_geometry([each * 1e-3 for each in self.state.values], passes, tool)
 
 

@@ -238,7 +238,8 @@ def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
         log_level="warning",
         access_log=False,
         proxy_headers=False,  # rights go by the connection's own address, not by what a proxy claims
-        timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
+        # uvicorn only passes it to `asyncio.wait_for`, which takes fractions
+        timeout_graceful_shutdown=SHUTDOWN_GRACE_S,  # pyright: ignore[reportArgumentType]
     )
     logging.getLogger("uvicorn.error").addFilter(_is_no_refused_handshake)
     raise_open_file_limit()

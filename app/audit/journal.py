@@ -23,7 +23,7 @@ class Journal:
     """
 
     def __init__(
-        self, folder: Path, on_fault: Callable[[str | None], None], on_entry: Callable[[JournalEntry], None]
+        self, folder: Path, on_fault: Callable[[str | None], None], on_entry: Callable[[JournalEntry], object]
     ) -> None:
         """`on_fault` receives the file's error, or None once it can be written again; `on_entry` each entry."""
         self._file = JournalFile(folder)

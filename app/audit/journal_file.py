@@ -5,13 +5,13 @@ import errno
 import fcntl
 import gzip
 import hashlib
+import io
 import os
 import secrets
 import time
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import IO
 
 from app.audit.hash_chain import NEW_LINE, ChainLink, parse_link, seal_entry, sha256_hex
 from app.messages.wire import JournalEntry, JournalKind
@@ -142,7 +142,7 @@ def read_journal_lines(path: Path) -> Iterator[bytes]:
         raise JournalError(f"{path}: cannot be read to its end ({error}). Allow reading, or copy it again.") from None
 
 
-def open_journal(path: Path) -> IO[bytes]:
+def open_journal(path: Path) -> io.BufferedIOBase:
     return gzip.open(path) if path.name.endswith(".gz") else path.open("rb")
 
 
@@ -170,8 +170,8 @@ def _chain_start_entry(file: int, at: str, *, has_end: bool) -> JournalEntry:
     )
 
 
-def _chain_entry(at: str, text: str, **facts: str) -> JournalEntry:
-    return JournalEntry(at=at, kind=JournalKind.CHAIN, text=text, **facts)
+def _chain_entry(at: str, text: str, *, begins: str | None = None, torn: str | None = None) -> JournalEntry:
+    return JournalEntry(at=at, kind=JournalKind.CHAIN, text=text, begins=begins, torn=torn)
 
 
 def _count_lines(file: int) -> int:

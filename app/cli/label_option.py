@@ -5,7 +5,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import click
 from typer.core import TyperCommand
 
 from config.errors import ConfigurationError
@@ -18,10 +17,11 @@ RESERVED_NAMES = ("unknown", "undecided")
 class LearnCommand(TyperCommand):
     """A command that also accepts `--label liver=a b c`: files that follow a label belong to it."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+    # `ctx` is click's context, or in newer versions of typer the one of its own copy of click
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, expand_label_arguments(args))
 
-    def format_usage(self, ctx: click.Context, formatter: Any) -> None:
+    def format_usage(self, ctx: Any, formatter: Any) -> None:
         formatter.write_usage(ctx.command_path, "[OPTIONS] --label TISSUE=FILE... --label TISSUE=FILE... --out FILE")
 
 

@@ -40,7 +40,7 @@ async def run_in_background_process(
         target=_process_main, args=(name, os.getpid(), theirs, work, arguments), name=f"graspwatch-{name}"
     )
     with theirs:
-        start_child_process(process)
+        pid = start_child_process(process)
     loop, arrived = asyncio.get_running_loop(), asyncio.Event()
     for source in (ours.fileno(), process.sentinel):
         loop.add_reader(source, arrived.set)
@@ -62,7 +62,7 @@ async def run_in_background_process(
         ours.close()
         process.kill()  # in case it has no group of its own yet, and so no children
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)  # also children that outlived it
+            os.killpg(pid, signal.SIGKILL)  # also children that outlived it
         await asyncio.to_thread(process.join)
 
 

@@ -46,6 +46,7 @@ class LingeringWebSocketProtocol(WebSocketsSansIOProtocol):
 
     def handle_parser_exception(self) -> None:
         why = self.conn.close_sent
+        assert why is not None
         self.queue.put_nowait({"type": "websocket.disconnect", "code": why.code, "reason": why.reason})
         self.transport.write(b"".join(self.conn.data_to_send()))
         self.close_sent = True
@@ -59,7 +60,12 @@ def make_connection_limiter(max_connections: int) -> type:
     opens thousands only hurts itself, and a STOP gets through. WebSockets stay; viewers have a limit of their own.
     """
 
-    class ConnectionLimiter(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+    class ConnectionLimiter(AutoHTTPProtocol):
+        connections: set[Any]  # as all but `opened_s` set by uvicorn's protocols, whose common type declares nothing
+        client: tuple[str, int] | None
+        transport: asyncio.Transport
+        opened_s: float
+
         def connection_made(self, transport: BaseTransport) -> None:
             self.opened_s = time.monotonic()
             if len(self.connections) >= max_connections:
@@ -67,10 +73,10 @@ def make_connection_limiter(max_connections: int) -> type:
             super().connection_made(transport)
 
     def _close_excess_connection(connections: set[Any]) -> None:
-        mine = [each for each in connections if isinstance(each, ConnectionLimiter) and each.client]
+        mine = [(each.client[0], each) for each in connections if isinstance(each, ConnectionLimiter) and each.client]
         if mine:
-            [(busiest, _)] = Counter(each.client[0] for each in mine).most_common(1)
-            its = [each for each in mine if each.client[0] == busiest]
+            [(busiest, _)] = Counter(host for host, _ in mine).most_common(1)
+            its = [each for host, each in mine if host == busiest]
             victim = min(its, key=lambda each: (_is_busy(each), each.opened_s))
             connections.discard(victim)
             victim.transport.abort()

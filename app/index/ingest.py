@@ -65,7 +65,7 @@ def _replace_nul(text: str | None) -> str | None:
 
 
 def _get_row(session: Session, table: type[Row], *key: Any) -> Row | None:
-    return session.get(table, key if len(key) > 1 else key[0])
+    return session.get(table, key[0] if len(key) == 1 else key)
 
 
 def _get_or_add_run_row(session: Session, run_id: str) -> RunRow:

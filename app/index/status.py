@@ -43,7 +43,10 @@ def read_status(url: URL, data: Path, readers: tuple[RecordingReader, ...]) -> I
             revision = read_revision(connection)
             there = set(inspect(connection).get_table_names()) & set(Ours.metadata.tables) if revision else set()
             tables = {name: Table(name, MetaData(), autoload_with=connection) for name in sorted(there)}
-            counts = {name: connection.scalar(select(sql.count()).select_from(table)) for name, table in tables.items()}
+            counts = {
+                name: connection.execute(select(sql.count()).select_from(table)).scalar_one()
+                for name, table in tables.items()
+            }
             behind = _find_missing(connection, tables, data, readers) if tables else ["everything: it is empty"]
     finally:
         engine.dispose()

@@ -20,6 +20,7 @@ from app.messages.wire import Alarm, FileRecord, Grasp, GraspEnded, JournalEntry
 
 MAX_TRIES = 5  # while another writer is faster
 M = TypeVar("M")
+RowT = TypeVar("RowT", RunRow, FileRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +155,7 @@ class Store:
                 for name, table in IndexTable.metadata.tables.items()
             }
 
-    def _get_row(self, table: type[RunRow] | type[FileRow], key: str) -> RunRow | FileRow | None:
+    def _get_row(self, table: type[RowT], key: str) -> RowT | None:
         if "\0" in key:
             return None  # no name has a NUL, and PostgreSQL refuses it in a query
         with explain_database_errors(self.url), Session(self._engine) as session:

@@ -71,7 +71,9 @@ def build_schema() -> dict[str, Any]:
         (SENT_BY_SERVER, "serialization"),
         (SENT_BY_BROWSER, "validation"),
     ]
-    inputs = [(name, mode, TypeAdapter(getattr(wire, name))) for names, mode in modes for name in names]
+    inputs: list[tuple[str, JsonSchemaMode, TypeAdapter[Any]]] = [
+        (name, mode, TypeAdapter(getattr(wire, name))) for names, mode in modes for name in names
+    ]
     roots, rest = TypeAdapter.json_schemas(
         inputs, ref_template="#/$defs/{model}", schema_generator=_TypeScriptSchemaGenerator
     )

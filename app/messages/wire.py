@@ -196,17 +196,21 @@ class RunRequest(WireModel):
     )
 
     protocol: str = Field(description="Name of a protocol, see GET /api/protocols")
-    cycles: Annotated[int, Field(ge=1, le=10_000)] | None = Field(None, description="Grasps; null: the protocol's")
-    tissue: str | None = Field(None, description="Tissue that the simulated grasper holds; refused for a real tool")
-    by: PersonName | None = Field(None, description="Name of the requester")
-    unmeasured_scale: Reason | None = Field(None, description=UNMEASURED_SCALE_DESCRIPTION)
+    cycles: Annotated[int, Field(ge=1, le=10_000)] | None = Field(
+        default=None, description="Grasps; null: the protocol's"
+    )
+    tissue: str | None = Field(
+        default=None, description="Tissue that the simulated grasper holds; refused for a real tool"
+    )
+    by: PersonName | None = Field(default=None, description="Name of the requester")
+    unmeasured_scale: Reason | None = Field(default=None, description=UNMEASURED_SCALE_DESCRIPTION)
 
 
 class ArmRequest(WireModel):
     """Arm the tool. The body is optional."""
 
     by: PersonName | None = None
-    unmeasured_scale: Reason | None = Field(None, description=UNMEASURED_SCALE_DESCRIPTION)
+    unmeasured_scale: Reason | None = Field(default=None, description=UNMEASURED_SCALE_DESCRIPTION)
 
 
 class SafetyReport(WireModel):
@@ -259,7 +263,8 @@ class Grasp(WireModel):
     alarms: list[Priority] = Field(description="Force warnings during the grasp: the highest of each rise of the force")
     held_back: bool = Field(description="Whether the limiter kept the command lower than the protocol asks for")
     peak_share_of_limit: float | None = Field(
-        None, description="Highest ratio of the force to the limit enforced at that time; null: no limit was enforced"
+        default=None,
+        description="Highest ratio of the force to the limit enforced at that time; null: no limit was enforced",
     )
 
 
@@ -363,13 +368,17 @@ class Alarm(WireModel):
     began_ms: float
     ended_ms: float | None = Field(description="When the cause ended")
     acknowledged_by: str | None = Field(description="Null: not acknowledged, or the alarm became worse since")
-    change: Annotated[int, Field(ge=1)] = Field(1, description="Message number within the alarm; the highest is newest")
+    change: Annotated[int, Field(ge=1)] = Field(
+        default=1, description="Message number within the alarm; the highest is newest"
+    )
 
 
 class AcknowledgeRequest(WireModel):
     """Acknowledge an alarm that a person has seen."""
 
-    by: PersonName | None = Field(None, description="Name of the person; optional for a person who is signed in")
+    by: PersonName | None = Field(
+        default=None, description="Name of the person; optional for a person who is signed in"
+    )
     priority: Priority = Field(description="Priority that the person saw; refused if the alarm is worse now")
 
 
@@ -467,7 +476,7 @@ class FileRecord(WireModel):
     format_version: str | None
     condition: FileCondition | None
     problem: str | None
-    deleted_at: str | None = Field(None, description="ISO 8601, UTC; null: not deleted")
+    deleted_at: str | None = Field(default=None, description="ISO 8601, UTC; null: not deleted")
     deleted_by: str | None = None
 
 
@@ -482,19 +491,19 @@ class JournalEntry(WireModel):
     value: float | None = None
     limit: float | None = None
     unit: str | None = None
-    run: Run | None = Field(None, description="The run at that time")
-    alarm: Alarm | None = Field(None, description="The alarm at that time")
-    file: FileRecord | None = Field(None, description="The recording that was deleted or restored")
-    action: str | None = Field(None, description="Requested action: the name of the route or of the command")
-    client: str | None = Field(None, description="Address that the request came from")
+    run: Run | None = Field(default=None, description="The run at that time")
+    alarm: Alarm | None = Field(default=None, description="The alarm at that time")
+    file: FileRecord | None = Field(default=None, description="The recording that was deleted or restored")
+    action: str | None = Field(default=None, description="Requested action: the name of the route or of the command")
+    client: str | None = Field(default=None, description="Address that the request came from")
     result: Result | None = None
-    reason: str | None = Field(None, description="Why the request was refused or failed")
-    chain: str | None = Field(None, description="Chain of the line; null, as all below: it is in none")
-    number: int | None = Field(None, description="One more than the number of the line before")
-    after: str | None = Field(None, description="Hash of the line before")
-    begins: str | None = Field(None, description="The chain begins here: hash of everything before in the file")
-    torn: str | None = Field(None, description="Hash of the cut-off line before this one, if there is one")
-    hash: str | None = Field(None, description="SHA-256 of the line up to here, hexadecimal")
+    reason: str | None = Field(default=None, description="Why the request was refused or failed")
+    chain: str | None = Field(default=None, description="Chain of the line; null, as all below: it is in none")
+    number: int | None = Field(default=None, description="One more than the number of the line before")
+    after: str | None = Field(default=None, description="Hash of the line before")
+    begins: str | None = Field(default=None, description="The chain begins here: hash of everything before in the file")
+    torn: str | None = Field(default=None, description="Hash of the cut-off line before this one, if there is one")
+    hash: str | None = Field(default=None, description="SHA-256 of the line up to here, hexadecimal")
 
     def to_line(self) -> str:
         """Return the entry as a journal line. Null fields are omitted, except within run, alarm and file."""
@@ -588,7 +597,7 @@ class StudyRequest(WireModel):
     """Start a study; one at a time."""
 
     study: str = Field(description="Name of a study, see GET /api/studies")
-    grasps: Annotated[int, Field(ge=1, le=100_000)] | None = Field(None, description="Null: the usual number")
+    grasps: Annotated[int, Field(ge=1, le=100_000)] | None = Field(default=None, description="Null: the usual number")
     seed: Annotated[int, Field(ge=0)] = 0
     by: PersonName | None = None
 
@@ -726,7 +735,7 @@ class SessionInfo(WireModel):
 class ControlRequest(WireModel):
     """Take control of the tool."""
 
-    take_over: bool = Field(False, description="Take control even if another person has it")
+    take_over: bool = Field(default=False, description="Take control even if another person has it")
 
 
 class ControlInfo(WireModel):
@@ -759,4 +768,6 @@ class Problem(WireModel):
     title: str
     status: int
     detail: str
-    errors: list[dict[str, str]] | None = Field(None, description="For status 422: each wrong field and the reason")
+    errors: list[dict[str, str]] | None = Field(
+        default=None, description="For status 422: each wrong field and the reason"
+    )

@@ -5,6 +5,7 @@ from http import HTTPStatus
 from typing import Any
 
 from fastapi import APIRouter, FastAPI
+from fastapi.routing import APIRoute, APIWebSocketRoute
 
 from app.http.problems import PROBLEM_RESPONSE
 from app.messages.wire import Role
@@ -22,6 +23,7 @@ def collect_route_permissions(routers: Iterable[APIRouter]) -> RoutePermissions:
     """
     declared = {}
     for route in (route for router in routers for route in router.routes):
+        assert isinstance(route, APIRoute | APIWebSocketRoute)
         said = [each.dependency.role for each in route.dependencies if isinstance(each.dependency, RoleRequirement)]
         if len(said) != 1:
             raise RuntimeError(f"{route.path} does not say who may: add `dependencies=[needs(Role....)]` to it.")
@@ -52,4 +54,4 @@ def add_roles_to_openapi(app: FastAPI, permissions: RoutePermissions) -> None:
                         )
         return app.openapi_schema or {}
 
-    app.openapi = described  # type: ignore[method-assign]
+    app.openapi = described

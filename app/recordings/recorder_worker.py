@@ -3,6 +3,7 @@
 import gc
 import json
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -68,7 +69,7 @@ class _RecorderWorker:
         self._run_and_report(lambda: self._recorder.close_file("the service was ended"))
         self._publish_status()
 
-    def _run_and_report(self, work) -> None:
+    def _run_and_report(self, work: Callable[[], None]) -> None:
         file = self._recorder.file
         try:
             work()

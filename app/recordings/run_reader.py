@@ -7,6 +7,7 @@ import numpy as np
 
 from acquisition.recordings import mcap_layout
 from acquisition.recordings.mcap_reader import JsonMessage, McapFile, RowBlock, concatenate_rows
+from acquisition.sample_block import field_names
 from app.messages.wire import Grasp, GraspEnded, Run
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.topics import GRASP_TOPIC, RUN_TOPIC, decode_message
@@ -91,6 +92,6 @@ def _align_estimates(samples: np.ndarray, estimates: np.ndarray, tissues: int) -
 def build_run_columns(run: RecordedRun) -> dict[str, np.ndarray]:
     """Return all columns by name, each of shape (n,): time, signals, estimates; SI units, in the names."""
     columns: dict[str, np.ndarray] = {"time_s": run.time_s, "utc_ns": run.log_ns}
-    columns |= {name: run.samples[name] for name in run.samples.dtype.names}
+    columns |= {name: run.samples[name] for name in field_names(run.samples.dtype)}
     estimated = estimate_columns(run.estimates, list(run.recording_context.library.tissues))
     return columns | {name.replace(".", "_"): values for name, values in estimated.items() if name != "tick"}

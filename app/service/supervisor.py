@@ -223,12 +223,13 @@ class Supervisor:
                 "died (signal 9), because the machine ran out of memory, somebody ended it, or one call of a library "
                 f"computed for {HARD_CPU_LIMIT_S} s at real-time priority"
             )
+        assert process.exitcode is not None
         return f"died (signal {-process.exitcode})" if process.exitcode < 0 else f"died (exit code {process.exitcode})"
 
     def is_blocked(self, name: str) -> bool:
         """Return whether a worker cannot run: it is stopped, waits for the disk, or gets no processor."""
         worker = self.workers[name]
-        if not worker.process:
+        if not worker.process or worker.process.pid is None:
             return False
         before, worker.activity = worker.activity, read_activity(worker.process.pid)
         return worker.activity.is_suspended or (worker.activity.is_runnable and worker.activity == before)

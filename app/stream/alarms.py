@@ -122,10 +122,10 @@ class AlarmManager:
             unit="N" if value is not None else None,
             began_ms=before.began_ms if before else _time_or_now_ms(at_ms),
             ended_ms=None,
-            acknowledged_by=None if worse else before.acknowledged_by,
+            acknowledged_by=before.acknowledged_by if before and not worse else None,
         )
         alarm = self._store(key, alarm)
-        if worse or text != before.text:
+        if before is None or worse or text != before.text:
             self._write_journal_entry(JournalKind.ALARM, alarm, f"{priority.value.capitalize()} alarm: {text}")
 
     def end(self, key: str, at_ms: float | None = None) -> None:

@@ -104,6 +104,7 @@ class Viewer:
                 await self._socket.close(1007, "expected {'type': 'received', 'sequence': n}")
                 return
             if isinstance(received, ReplayControl):
+                assert self._on_control is not None
                 self._on_control(received)
                 continue
             while self._unacknowledged_frames and self._unacknowledged_frames[0] <= received.sequence:

@@ -111,7 +111,12 @@ def build_time_plot_template(
         figure.update_yaxes(type="log", range=reach, dtick=1, exponentformat="power", row=row, col=1)
         for name, profile in library.tissues.items():
             line = {"color": tissue_styles[name].color, "width": 1, "dash": "dot"}
-            figure.add_hline(y=getattr(profile, parameter), line=line, row=row, col=1)
+            figure.add_hline(
+                y=getattr(profile, parameter),
+                line=line,
+                row=row,  # pyright: ignore[reportArgumentType]  plotly declares no type; its default is "all"
+                col=1,  # pyright: ignore[reportArgumentType]  as row
+            )
     figure.update_xaxes(tickfont={"size": 11})
     figure.update_yaxes(tickfont={"size": 11})
     figure.update_xaxes(title={"text": "time, s", "font": {"size": 12}}, row=len(AXIS_HEIGHTS), col=1)
@@ -176,7 +181,7 @@ def build_verdict_bars(grasps: Iterable[GraspRecord], tissue_styles: dict[str, T
 
 def build_alarm_markers(alarms: list[ForceAlarm], rate_hz: float) -> list[dict[str, Any]]:
     """Build a triangle on the force for each warning."""
-    told = [alarm for alarm in alarms if alarm.priority]
+    told = [(alarm, alarm.priority) for alarm in alarms if alarm.priority]
     if not told:
         return []
     return [
@@ -186,15 +191,17 @@ def build_alarm_markers(alarms: list[ForceAlarm], rate_hz: float) -> list[dict[s
             "name": "warning",
             "xaxis": "x2",
             "yaxis": "y2",
-            "x": [alarm.tick / rate_hz for alarm in told],
-            "y": [round(alarm.force_n, 3) for alarm in told],
+            "x": [alarm.tick / rate_hz for alarm, _ in told],
+            "y": [round(alarm.force_n, 3) for alarm, _ in told],
             "marker": {
                 "symbol": "triangle-down",
                 "size": 11,
-                "color": [ALARM_COLORS[alarm.priority] for alarm in told],
+                "color": [ALARM_COLORS[priority] for _, priority in told],
                 "line": {"color": MARK_COLOR, "width": 1},
             },
-            "hovertext": [f"{alarm.priority}: {alarm.force_n:.2f} N of {alarm.threshold_n:.2f} N" for alarm in told],
+            "hovertext": [
+                f"{priority}: {alarm.force_n:.2f} N of {alarm.threshold_n:.2f} N" for alarm, priority in told
+            ],
             "hoverinfo": "text",
             "showlegend": False,
         }
@@ -240,4 +247,5 @@ def build_box_plots(
 def figure_to_json(figure: go.Figure) -> dict[str, Any]:
     """Convert a figure to JSON, in the style of the report."""
     figure.update_layout(template="plotly_white", margin={"l": 62, "r": 14, "t": 40, "b": 46}, autosize=True)
-    return json.loads(plotly.io.to_json(figure, validate=False))
+    text = plotly.io.to_json(figure, validate=False)
+    return json.loads(text)  # pyright: ignore[reportArgumentType]  plotly declares no type; it is always a text

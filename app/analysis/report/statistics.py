@@ -179,7 +179,7 @@ def compute_statistics(observations: list[Observation], tissues: Iterable[str]) 
     names = {one.group for one in kept}
     order = [name for name in (*tissues, *sorted(names - {*tissues, UNKNOWN}), UNKNOWN) if name in names]
     groups = {name: [one for one in kept if one.group == name] for name in order}
-    values = {name: np.log([one.parameters for one in group]) for name, group in groups.items()}
+    values = {name: np.log([one.parameters for one in group if one.parameters]) for name, group in groups.items()}
     return Statistics(
         tuple(dict.fromkeys(one.truth_source for one in kept)),
         groups,

@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -118,7 +119,7 @@ def _write_mat(run: RecordedRun, target: Path) -> None:
         )
 
 
-def _to_matlab_column(values: list[object]) -> np.ndarray:
+def _to_matlab_column(values: list[Any]) -> np.ndarray:
     """Return a column of numbers, NaN where there is none, or of texts, as cells."""
     if all(isinstance(value, int | float | None) for value in values):
         return np.array([np.nan if value is None else float(value) for value in values])
