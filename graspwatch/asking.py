@@ -13,7 +13,7 @@ from graspwatch.errors import RefusedError, UnreachableError
 Answer = TypeVar("Answer")
 
 
-def refused(status: int, content: bytes) -> RefusedError:
+def refused(status: int, content: bytes | bytearray) -> RefusedError:
     """Convert an error response to a `RefusedError`."""
     try:
         problem = Problem.model_validate_json(content)
