@@ -20,6 +20,7 @@ run: $(VENV)/bin/python ## start with the simulated grasper and a demonstration
 test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
+	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 	@# compiled once here, not by each test that starts the program
 	$(BIN)/python -m compileall -q app acquisition estimator config graspwatch
