@@ -752,7 +752,7 @@ class ServerSettings(ConfigModel):
         if isinstance(given, dict) and "admin_token_file" in given:
             if given["admin_token_file"] is not None:
                 raise ValueError(
-                    "admin_token_file is a thing of the past: leave it out, and give each admin a token of his own "
+                    "admin_token_file is no longer supported: leave it out, and give each admin a token of their own "
                     "with `graspwatch token add NAME --role admin`"
                 )
             return {key: value for key, value in given.items() if key != "admin_token_file"}
