@@ -634,7 +634,7 @@ class TissueLibrary(ConfigModel):
         """Return the force at which injury begins, N: threshold pressure times jaw area."""
         return self.tissues[tissue].threshold_pa * self.jaw_area_m2
 
-    def displayed_thresholds_n(self, tool: Tool) -> dict[str, float]:
+    def convert_thresholds_to_displayed_n(self, tool: Tool) -> dict[str, float]:
         """Return the displayed force of `tool` at which each tissue may be injured, N."""
         return {name: tool.to_displayed_n(self.threshold_n(name)) for name in self.tissues}
 
