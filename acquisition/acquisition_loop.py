@@ -10,7 +10,7 @@ from acquisition.protocol_player import ProtocolPlayer
 from acquisition.safety.force_limiter import (
     ForceLimiter,
     compute_finite_median,
-    compute_max_next_command,
+    compute_max_command_by_rise_limit,
     find_stop_reason,
 )
 from acquisition.safety.self_test import SelfTest
@@ -281,7 +281,7 @@ class AcquisitionController:
     def _write_command(self, command_v: float) -> None:
         """Write the command, V, with its rise bounded; a fall is immediate, and an inactive motor gets zero."""
         most_v = (
-            compute_max_next_command(self._command_history.last_command_v, self._tool)
+            compute_max_command_by_rise_limit(self._command_history.last_command_v, self._tool)
             if self.safety in MOTOR_ACTIVE_STATES
             else 0.0
         )

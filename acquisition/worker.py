@@ -14,7 +14,7 @@ from acquisition.safety.server_watch import ServerWatchdog
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
 from acquisition.tool_factory import open_tool
-from acquisition.worker_process import StopFlag, apply_realtime, initialize_worker
+from acquisition.worker_process import ProcessEndFlag, apply_realtime, initialize_worker
 from config.errors import GraspwatchError, RefusedError, ToolError
 from config.schema import ConditioningSettings, GraspProtocol, LimiterSettings, RealtimeSettings, TissueLibrary, Tool
 
@@ -59,7 +59,9 @@ def main(setup: AcquisitionSetup) -> None:
         context.destroy(linger=200)
 
 
-def _run_acquisition(setup: AcquisitionSetup, publisher: zmq.Socket, context: zmq.Context, stop: StopFlag) -> None:
+def _run_acquisition(
+    setup: AcquisitionSetup, publisher: zmq.Socket, context: zmq.Context, stop: ProcessEndFlag
+) -> None:
     """Read the tool until the service ends; between blocks, apply thresholds and execute commands."""
     source, grasper = open_tool(setup.tool, setup.library, setup.tissue, setup.seed)
     limits = bus.open_latest_subscriber(context, setup.endpoints.thresholds)

@@ -29,7 +29,7 @@ HARD_CPU_LIMIT_S = 5
 GRANT_TEXTS = {True: "granted", False: "refused", None: "not asked for"}
 
 
-class StopFlag:
+class ProcessEndFlag:
     """Flag set by SIGTERM and SIGINT. A worker checks it once a turn, so that it ends with the motor at zero."""
 
     def __init__(self) -> None:
@@ -41,9 +41,9 @@ class StopFlag:
         self.is_set = True
 
 
-def initialize_worker(name: str, parent_pid: int) -> StopFlag:
+def initialize_worker(name: str, parent_pid: int) -> ProcessEndFlag:
     """Tie this process to its parent, handle its signals, and set its name for `ps` and `top`."""
-    flag = StopFlag()
+    flag = ProcessEndFlag()
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     libc.prctl(PR_SET_NAME, name.encode())

@@ -52,7 +52,7 @@ def build_graspable_library(library: TissueLibrary) -> TissueLibrary:
     return library.model_copy(update={"tissues": {**library.tissues, **others}})
 
 
-def load_protocol(name: str) -> GraspProtocol:
+def load_grasp_protocol(name: str) -> GraspProtocol:
     return _load_named(name, "protocols", "protocol", GraspProtocol)
 
 

@@ -637,7 +637,7 @@ class TissueLibrary(ConfigModel):
         """Return the force at which injury begins, N: threshold pressure times jaw area."""
         return self.tissues[tissue].threshold_pa * self.jaw_area_m2
 
-    def displayed_thresholds_n(self, tool: Tool) -> dict[str, float]:
+    def convert_thresholds_to_displayed_n(self, tool: Tool) -> dict[str, float]:
         """Return the displayed force of `tool` at which each tissue may be injured, N."""
         return {name: tool.to_displayed_n(self.threshold_n(name)) for name in self.tissues}
 
@@ -755,7 +755,7 @@ class ServerSettings(ConfigModel):
         if isinstance(given, dict) and "admin_token_file" in given:
             if given["admin_token_file"] is not None:
                 raise ValueError(
-                    "admin_token_file is a thing of the past: leave it out, and give each admin a token of his own "
+                    "admin_token_file is no longer supported: leave it out, and give each admin a token of their own "
                     "with `graspwatch token add NAME --role admin`"
                 )
             return {key: value for key, value in given.items() if key != "admin_token_file"}

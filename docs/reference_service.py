@@ -160,7 +160,7 @@ def metrics() -> str:
 
 def decisions() -> str:
     """The records by number."""
-    lines = ["# Decisions\n", "What a newcomer would question, and why it is so.\n"]
+    lines = ["# Decisions\n", "Design choices that a newcomer may question, with their reasons.\n"]
     for path in sorted((DOCS / "decisions").glob("0*.md")):
         title = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
         lines.append(f"- [{title}]({path.name})")

@@ -33,7 +33,7 @@ def row_layouts(tissues: list[str]) -> dict[str, RowLayout]:
 
 
 def estimate_columns(estimates: np.ndarray, tissues: list[str]) -> dict[str, np.ndarray]:
-    """Return the columns, each of shape (n,), by path (`name` or `tissue.name`)."""
+    """Return the estimates as columns of shape (n,) by name; a tissue's own are named `<tissue>.<name>`."""
     columns = {}
     for name in field_names(estimates.dtype):
         values = estimates[name]

@@ -86,7 +86,7 @@ class TissueEstimator:
         """
         self._tool = tool
         self._rate_hz = tool.board.sample_rate_hz
-        self._thresholds_n = library.displayed_thresholds_n(tool)
+        self._thresholds_n = library.convert_thresholds_to_displayed_n(tool)
         self._lowest_threshold_n = min(self._thresholds_n.values())
         self._settings = settings.identification
         self._opening_m = tool.geometry.opening_m

@@ -9,7 +9,7 @@ import hypothesis
 import pytest
 from reactions import Reactions
 
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 
 CHECKOUT = Path(__file__).parents[1]
@@ -74,7 +74,7 @@ def settings() -> Settings:
 
 @pytest.fixture(scope="session")
 def protocol() -> Callable[[str], GraspProtocol]:
-    return load_protocol
+    return load_grasp_protocol
 
 
 @pytest.fixture(scope="session")

@@ -14,13 +14,13 @@ from acquisition.simulation.faults import FaultySensors
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
 from config.errors import ToolError
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from estimator.estimate_block import GraspRecord
 from estimator.online_estimator import TissueEstimator
 from estimator.worker import to_threshold_update
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
-PROTOCOL = load_protocol("trapezoid_2hz")
+PROTOCOL = load_grasp_protocol("trapezoid_2hz")
 RATE_HZ = TOOL.board.sample_rate_hz
 CYCLE = round(PROTOCOL.waveform.cycle_s * RATE_HZ)
 LEAD_IN = round(PROTOCOL.lead_in_s * RATE_HZ)

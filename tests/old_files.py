@@ -42,7 +42,7 @@ def without_limit(
                 definition = RAW_BEFORE.descriptor_set if is_raw else schema.data
                 of = writer.register_schema(schema.name, schema.encoding, definition)
                 channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, of)
-            data = RAW_BEFORE.encode(mcap_layout.RAW_LAYOUT.decode(message.data)) if is_raw else message.data
+            data = RAW_BEFORE.encode_rows(mcap_layout.RAW_LAYOUT.decode(message.data)) if is_raw else message.data
             writer.add_message(channels[channel.topic], message.log_time, data, message.publish_time, message.sequence)
         writer.finish()
     return target

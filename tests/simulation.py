@@ -10,7 +10,7 @@ import numpy as np
 from acquisition.drivers.source import RawBlock
 from acquisition.protocol_player import ProtocolPlayer
 from acquisition.simulation.grasper import SimulatedGrasper
-from config.load import load_library, load_protocol, load_tool
+from config.load import load_grasp_protocol, load_library, load_tool
 from config.schema import GraspProtocol, Tool
 
 SIGNALS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
@@ -26,7 +26,7 @@ def simulate_raw(
 ) -> list[RawBlock]:
     """Return the raw blocks of a protocol on specimens of `tissue`, including the last rest."""
     tool = tool or load_tool("simulated")
-    played = load_protocol(protocol) if isinstance(protocol, str) else protocol
+    played = load_grasp_protocol(protocol) if isinstance(protocol, str) else protocol
     player = ProtocolPlayer(played, tool, cycles)
     commands = []
     while not player.done:

@@ -64,7 +64,7 @@ def check_product(board: BoardInfo, tool: Tool) -> CheckResult:
     return CheckResult(check, CheckOutcome.FAIL, text)
 
 
-def check_channels(board: BoardInfo, tool: Tool) -> CheckResult:
+def check_channel_settings(board: BoardInfo, tool: Tool) -> CheckResult:
     """Check that the board has the channels and the range that the tool file names."""
     check, named = "channels", tool.channels
     inputs = (named.strain, named.motor_command_readback, *named.touch)

@@ -47,7 +47,7 @@ class HardwareCheck:
         self._reading_context = reading_context or contextlib.nullcontext()
 
     def run_checks(self, may_move: Callable[[], bool]) -> Iterator[CheckResult]:
-        """Yield the results of all checks in order; call `may_move` once the tool at rest is sound."""
+        """Yield the results of all checks in order; ask `may_move()` once the tool at rest is sound."""
         failed = None
         for finding in self._check_board():
             yield finding
@@ -78,7 +78,7 @@ class HardwareCheck:
             yield from _skip_checks(("channels",), "board")
             return
         yield checks.check_product(board, self._tool)
-        yield checks.check_channels(board, self._tool)
+        yield checks.check_channel_settings(board, self._tool)
         yield checks.check_calibration(self._tool, datetime.date.today())
         yield checks.check_force_scale(self._tool)
 

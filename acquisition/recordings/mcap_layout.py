@@ -57,7 +57,7 @@ def raw_columns(block: SampleBlock) -> dict[str, np.ndarray]:
 
 
 def conditioned_columns(block: SampleBlock) -> Mapping[str, np.ndarray]:
-    """Return the columns of `CONDITIONED_LAYOUT`."""
+    """Return a block's conditioned signals by name: the values for rows of `CONDITIONED_LAYOUT`."""
     return {name: block.samples[name] for name in CONDITIONED_COLUMNS}
 
 

@@ -79,7 +79,7 @@ class RowLayout:
     def row_bytes(self) -> int:
         return self._dtype.itemsize
 
-    def encode(self, columns: Columns) -> bytes:
+    def encode_rows(self, columns: Columns) -> bytes:
         """Encode arrays of shape (n,) by `Column.path` as consecutive rows of `row_bytes` each."""
         rows = np.full(len(next(iter(columns.values()))), self._template)
         for column in self.columns:

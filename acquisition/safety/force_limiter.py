@@ -55,7 +55,7 @@ def find_stop_reason(tool: Tool, samples: np.ndarray) -> str | None:
     return None
 
 
-def compute_max_next_command(command_v: float, tool: Tool) -> float:
+def compute_max_command_by_rise_limit(command_v: float, tool: Tool) -> float:
     """Return the highest command, V, that may follow a block under `command_v`, by the tool's limit on its rise."""
     block_s = tool.board.block_samples / tool.board.sample_rate_hz
     return command_v + tool.limits.max_command_v_per_s * block_s * (1 + ROUNDING_TOLERANCE)
@@ -102,7 +102,7 @@ class ForceLimiter:
         self._block_s = tool.board.block_samples / rate_hz
         self._command_to_force = tool.command_to_force
         self._margin = settings.margin
-        thresholds_n = library.displayed_thresholds_n(tool).values()
+        thresholds_n = library.convert_thresholds_to_displayed_n(tool).values()
         self._threshold = ActiveThreshold(thresholds_n, round(settings.limit_expires_s * rate_hz))
         self._recent_thresholds_n: deque[float] = deque(
             maxlen=1 + round(THRESHOLD_SETTLING_S / self._block_s)
@@ -169,7 +169,7 @@ class ForceLimiter:
             return self._store_command(0.0), LIMITED | RELEASED
         most_v = min(
             self._compute_max_command_v(max(seen, self._gain_ratio), trusted_n),
-            compute_max_next_command(self._command_v, self._tool),
+            compute_max_command_by_rise_limit(self._command_v, self._tool),
         )
         return (self._store_command(most_v), LIMITED) if most_v < requested_v else (self._store_command(requested_v), 0)
 

@@ -1,4 +1,7 @@
-"""Watchdog of the server, which passes on STOP, judged by the heartbeat of its event loop."""
+"""Watchdog that ends a run if the server falls silent, because STOP comes through the server.
+
+A heartbeat of the server's event loop shows that it is alive.
+"""
 
 MAX_CHECK_INTERVAL_S = 0.05
 """Longest time counted between two checks; a longer pause is a delay of this process, not a silence of the server."""

@@ -166,7 +166,7 @@ class SimulatedBoard:
             raise BoardError(DAQmxErrors.INVALID_TASK, f"Task {name} does not exist.")
         return task
 
-    def add_channel(self, name: str, kind: ChannelKind, physical: str) -> Task:
+    def add_channel_to_task(self, name: str, kind: ChannelKind, physical: str) -> Task:
         """Add `physical`, e.g. `Dev1/ai0`, to the task and return the task."""
         device, _, channel = physical.partition("/")
         self.check_device(device)

@@ -29,7 +29,7 @@ _COUNTS_PER_PULSE = {EncoderType.X_1.value: 1, EncoderType.X_2.value: 2, Encoder
 def create_in_process_options(board: SimulatedBoard) -> nidaqmx.GrpcSessionOptions:
     """Return the session options with which nidaqmx or `NidaqSource` reaches `board` by plain function calls."""
     service = BoardService(board)  # pyright: ignore[reportAbstractUsage]  only the stub calls the base class abstract
-    return nidaqmx.GrpcSessionOptions(InProcessChannel(service), "")
+    return nidaqmx.GrpcSessionOptions(InProcessGrpcChannel(service), "")
 
 
 def serve_tcp(
@@ -116,18 +116,18 @@ class BoardService(NiDAQmxServicer):
 
     @_convert_board_errors
     def CreateAIVoltageChan(self, request: pb.CreateAIVoltageChanRequest) -> pb.CreateAIVoltageChanResponse:
-        self._board.add_channel(request.task.name, ChannelKind.ANALOG_IN, request.physical_channel)
+        self._board.add_channel_to_task(request.task.name, ChannelKind.ANALOG_IN, request.physical_channel)
         return pb.CreateAIVoltageChanResponse()
 
     @_convert_board_errors
     def CreateAOVoltageChan(self, request: pb.CreateAOVoltageChanRequest) -> pb.CreateAOVoltageChanResponse:
-        task = self._board.add_channel(request.task.name, ChannelKind.ANALOG_OUT, request.physical_channel)
+        task = self._board.add_channel_to_task(request.task.name, ChannelKind.ANALOG_OUT, request.physical_channel)
         task.output_range_v = (request.min_val, request.max_val)
         return pb.CreateAOVoltageChanResponse()
 
     @_convert_board_errors
     def CreateCIAngEncoderChan(self, request: pb.CreateCIAngEncoderChanRequest) -> pb.CreateCIAngEncoderChanResponse:
-        task = self._board.add_channel(request.task.name, ChannelKind.ENCODER, request.counter)
+        task = self._board.add_channel_to_task(request.task.name, ChannelKind.ENCODER, request.counter)
         counts_per_turn = request.pulses_per_rev * _COUNTS_PER_PULSE[request.decoding_type_raw]
         task.degrees_per_count = 360.0 / counts_per_turn
         return pb.CreateCIAngEncoderChanResponse()
@@ -225,7 +225,7 @@ class _InProcessContext:
         raise InProcessError(status, text, self._metadata)
 
 
-class InProcessChannel(grpc.Channel):
+class InProcessGrpcChannel(grpc.Channel):
     """A channel that calls the service's methods with the request objects: no socket, thread or serialization."""
 
     def __init__(self, service: BoardService) -> None:
@@ -257,7 +257,7 @@ class InProcessChannel(grpc.Channel):
     def close(self) -> None:
         """Do nothing."""
 
-    def __enter__(self) -> "InProcessChannel":
+    def __enter__(self) -> "InProcessGrpcChannel":
         return self
 
     def __exit__(self, *_: Any) -> None:

@@ -37,8 +37,8 @@ from app.cli.support import support
 from config.errors import ConfigurationError, GraspwatchError, ToolError
 from config.load import (
     build_graspable_library,
+    load_grasp_protocol,
     load_library,
-    load_protocol,
     load_settings,
     load_tool,
     require_known_name,
@@ -147,7 +147,7 @@ def run(
     Example: graspwatch run trapezoid_2hz --tissue liver --cycles 5
     """
     settings = load_settings(config)
-    profiles, wanted = load_library(library or settings.library), load_protocol(protocol)
+    profiles, wanted = load_library(library or settings.library), load_grasp_protocol(protocol)
     require_known_name(tissue, list(build_graspable_library(profiles).tissues), "tissue")
     profiles.check_tool(_simulated_tool(settings))
 
@@ -239,7 +239,7 @@ def replay(
         if as_recorded:
             if recording.mcap_file is None:
                 raise ConfigurationError(f"{path}: LabVIEW's files hold no library. Leave --as-recorded out.")
-            how = RecordingContext.from_file(recording.mcap_file)
+            how = RecordingContext.from_recording(recording.mcap_file)
         with ProgressBar(path.name, 1.0) as progress:
             report = replay_recording(recording, how, progress)
         documents.append(report.document())

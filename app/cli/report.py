@@ -70,13 +70,13 @@ def report(
     _check_output_paths(page_path, data_path)
 
     from app.analysis.report.page import render_report_page  # a slow import, made after the options are checked
-    from app.analysis.report.report import read_common_configuration, read_report, write_atomically
+    from app.analysis.report.report import analyze_recordings, read_common_configuration, write_atomically
 
     if library is None and config is None:
         profiles, settings = read_common_configuration(files) or (profiles, settings)
 
     with ProgressBar(page_path.name, 1.0) as progress:
-        made = read_report(files, context, profiles, settings, labels, progress)
+        made = analyze_recordings(files, context, profiles, settings, labels, progress)
         text, document = (
             render_report_page(made, progress),
             json.dumps(made.document(), indent=2, allow_nan=False) + "\n",

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from config.load import load_library, load_protocol
+from config.load import load_grasp_protocol, load_library
 from estimator.studies.catalog import MAX_GRASPS, STUDIES, StudyDefinition
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def _make_bench(
     Raises:
         ConfigurationError: there is no such protocol or library.
     """
-    load_protocol(protocol)  # to refuse a wrong name before the study starts
+    load_grasp_protocol(protocol)  # to refuse a wrong name before the study starts
     load_library(library)
     from estimator.studies.answer_course import StudyConditions  # a slow import
 

@@ -62,7 +62,7 @@ def list_(config: ConfigOption = None, data: DataOption = None, as_json: JsonOpt
 
 @app.command()
 def revoke(name: NameArgument, config: ConfigOption = None, data: DataOption = None) -> None:
-    """Take somebody's token back: what he has open ends within a second.
+    """Revoke a person's token: their open pages and streams end within a second.
 
     Example: graspwatch token revoke Ada
     """

@@ -47,7 +47,7 @@ class OpenWebSocket:
 
 
 class Authenticator:
-    """The authentication of one service's requests."""
+    """Finder of each request's user; refuses requests that are unknown, from a foreign page or too frequent."""
 
     def __init__(self, plan: ServicePlan) -> None:
         """Raise ConfigurationError if other users may access the file of tokens, or it cannot be read."""

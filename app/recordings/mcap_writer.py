@@ -46,7 +46,7 @@ class RecordingContext:
     settings: Settings
 
     @classmethod
-    def from_file(cls, container: McapFile) -> Self:
+    def from_recording(cls, container: McapFile) -> Self:
         """Return the configuration that a file was recorded with.
 
         Raises:
@@ -212,7 +212,7 @@ class McapRunWriter:
         joined = {name: np.concatenate([columns[name] for columns in blocks]) for name in blocks[0]}
         tick, at_ns = self._clock_anchor or (int(joined["tick"][0]), time.time_ns())
         log_ns = at_ns + np.round((joined["tick"] - tick) * self._sample_period_ns).astype(np.int64)
-        data, size = pending.rows.encode(joined), pending.rows.row_bytes
+        data, size = pending.rows.encode_rows(joined), pending.rows.row_bytes
         sequences = np.repeat(pending.sequences[now], lengths).tolist()
         published_ns = np.repeat(pending.published_ns[now], lengths).tolist()
         add, channel = self._writer.add_message, pending.channel

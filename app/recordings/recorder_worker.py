@@ -11,7 +11,7 @@ import numpy as np
 import zmq
 
 from acquisition import bus
-from acquisition.worker_process import StopFlag, initialize_worker, limit_memory, take_server_priority
+from acquisition.worker_process import ProcessEndFlag, initialize_worker, limit_memory, take_server_priority
 from app.messages.wire import RunState
 from app.recordings.file_repair import recover_folder
 from app.recordings.mcap_writer import RecordingContext
@@ -56,7 +56,7 @@ class _RecorderWorker:
         self._sample_sequence = bus.SequenceTracker()
         self._last_status_s = 0.0
 
-    def run(self, sources: zmq.Socket, stop: StopFlag) -> None:
+    def run(self, sources: zmq.Socket, stop: ProcessEndFlag) -> None:
         """Run until the flag is set, then complete the file."""
         for path in recover_folder(self._setup.folder):
             self._publish_notice("mended", file=path.name)

@@ -42,7 +42,7 @@ def read_run(path: Path) -> RecordedRun:
         RecordingError: it is no recording of a run, or is damaged.
     """
     container = McapFile(path)
-    context = RecordingContext.from_file(container)
+    context = RecordingContext.from_recording(container)
     rows: dict[str, list[RowBlock]] = {
         mcap_layout.RAW_TOPIC: [],
         mcap_layout.CONDITIONED_TOPIC: [],

@@ -1,4 +1,4 @@
-"""Commands to the acquisition worker, and its answers."""
+"""Sending of commands to the acquisition worker, and waiting for its answers."""
 
 import asyncio
 import time

@@ -7,7 +7,7 @@ from itertools import cycle
 from app.messages.wire import Phase
 from app.service.tool_service import ToolService
 from config.errors import GraspwatchError
-from config.load import load_protocol
+from config.load import load_grasp_protocol
 from config.schema import TissueLibrary
 
 NORMAL_PROTOCOL, STRONG_PROTOCOL = "trapezoid_2hz", "strong_2hz"
@@ -53,6 +53,6 @@ async def run_demo(tool_service: ToolService) -> None:
             return
         tool_service.demo_text = scene.text
         try:
-            await tool_service.start_run(load_protocol(scene.protocol), GRASPS_PER_SCENE, scene.tissue, by=None)
+            await tool_service.start_run(load_grasp_protocol(scene.protocol), GRASPS_PER_SCENE, scene.tissue, by=None)
         except GraspwatchError:
             continue  # its alarm is on; the next scene is tried

@@ -16,7 +16,7 @@ from acquisition import bus
 from acquisition.recordings import mcap_layout
 from acquisition.recordings.protobuf_rows import RowLayout
 from acquisition.sample_block import SampleBlock
-from acquisition.worker_process import StopFlag, initialize_worker, limit_memory
+from acquisition.worker_process import ProcessEndFlag, initialize_worker, limit_memory
 from app.recordings.topics import TOPIC_MODELS, build_json_schema
 from config.schema import TissueLibrary
 from estimator.estimate_block import estimate_dtype
@@ -56,7 +56,9 @@ def main(setup: FoxgloveSetup) -> None:
     context.destroy(linger=100)
 
 
-def _run(sources: zmq.Socket, publisher: zmq.Socket, foxglove_publisher: "FoxglovePublisher", stop: StopFlag) -> None:
+def _run(
+    sources: zmq.Socket, publisher: zmq.Socket, foxglove_publisher: "FoxglovePublisher", stop: ProcessEndFlag
+) -> None:
     said_s = 0.0
     while not stop.is_set:
         if sources.poll(POLL_MS):
@@ -125,6 +127,6 @@ class _RowChannel:
         return self._channel.has_sinks()
 
     def publish(self, columns: Mapping[str, np.ndarray], log_ns: np.ndarray) -> None:
-        data, size = self._rows.encode(columns), self._rows.row_bytes
+        data, size = self._rows.encode_rows(columns), self._rows.row_bytes
         for i, at_ns in enumerate(log_ns.tolist()):
             self._channel.log(data[i * size : (i + 1) * size], log_time=at_ns)

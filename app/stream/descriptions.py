@@ -29,7 +29,7 @@ def build_hello(plan: ServicePlan, tool: Tool, *, recording: bool = False) -> He
         tool=build_tool_info(tool, recording=recording),
         library=build_library_info(plan),
         holdable=_build_holdable_infos(library) if tool.kind is ToolKind.SIMULATED and not recording else [],
-        lowest_threshold_n=min(library.displayed_thresholds_n(tool).values()),
+        lowest_threshold_n=min(library.convert_thresholds_to_displayed_n(tool).values()),
         decide_at=plan.settings.identification.decide_at,
         warning_shares=[shares.low, shares.medium, shares.high],
         channels=build_channels(list(library.tissues)),

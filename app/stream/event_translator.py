@@ -37,7 +37,10 @@ class EventTranslator:
         self.identification: Identification | None = None
 
     def process(self, block: EstimateBlock, at_ms: float, sampled_ms: float) -> None:
-        """Publish the news of a block at `at_ms`; its last sample was taken at `sampled_ms`."""
+        """Publish a block's ended grasps, identification, withdrawn labels and alarms at `at_ms`.
+
+        `sampled_ms` is the time of its last sample.
+        """
         for record in block.ended:
             self._end_grasp(record)
         self._publish_identification(block, at_ms)

@@ -76,7 +76,7 @@ class FrameBuffer:
         return [self._pack(FrameKind.LIVE, first_tick, columns) for first_tick, columns in joined]
 
     def history_frames(self) -> list[bytes]:
-        """Return the last seconds as frames."""
+        """Return the samples of the last seconds as binary WebSocket messages, for a viewer that connects later."""
         return [
             self._pack(FrameKind.HISTORY, tick, columns) for tick, columns in _join_consecutive(list(self._history))
         ]

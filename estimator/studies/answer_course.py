@@ -7,7 +7,7 @@ import numpy as np
 
 from acquisition.sample_block import SampleBlock
 from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 from estimator.decision import UNDECIDED
 from estimator.estimate_block import GraspRecord
@@ -51,7 +51,7 @@ def load_study_setup(bench: StudyConditions) -> StudySetup:
         tool if bench.touch else without_touch(tool),
         load_library(bench.library),
         settings.model_copy(update={"identification": identification}),
-        load_protocol(bench.protocol),
+        load_grasp_protocol(bench.protocol),
     )
 
 

@@ -1,4 +1,4 @@
-"""The catalog of studies: name, size and function of each."""
+"""The catalog of studies: name, default and largest number of grasps, and the Python function that runs it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

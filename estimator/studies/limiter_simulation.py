@@ -106,7 +106,7 @@ def simulate_limited(case: LimitedCase, tool: Tool, library: TissueLibrary, sett
     acquisition = AcquisitionController(source, tool, settings.conditioning, hold_back, Safety.ARMED)
     acquisition.start("study", build_protocol(case, tool), case.grasps)
     teller = ThresholdFeed(case, tool, library, settings)
-    thresholds_n = library.displayed_thresholds_n(tool).values()
+    thresholds_n = library.convert_thresholds_to_displayed_n(tool).values()
     in_force = ActiveThreshold(thresholds_n, round(settings.limiter.limit_expires_s * tool.board.sample_rate_hz))
     blocks, thresholds = [], []
     player = ProtocolPlayer(build_protocol(case, tool), tool, case.grasps)

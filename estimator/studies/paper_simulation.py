@@ -6,7 +6,7 @@ import numpy as np
 
 from acquisition.signals.low_pass import LowPassFilter
 from acquisition.simulation.tissue import Material, integrate_tissue
-from config.load import load_protocol
+from config.load import load_grasp_protocol
 from config.schema import ConditioningSettings, SineWaveform, TissueProfile
 from estimator.baselines.paper_filter import PaperFilterBank, PaperNoise
 from estimator.compilation import compiled
@@ -48,7 +48,7 @@ def compute_log_parameters(profile: TissueProfile) -> np.ndarray:
 
 def simulate_sine(profile: TissueProfile, mass_kg: float, seed: int) -> SineRun:
     """Simulate the protocol `sine` as force on the tissue itself, without tool and kinematics."""
-    waveform = load_protocol("sine").waveform
+    waveform = load_grasp_protocol("sine").waveform
     assert isinstance(waveform, SineWaveform)
     time_s = np.arange(round(waveform.grasp_s * RATE_HZ)) / RATE_HZ
     first_s = 1.0 / waveform.first_hz
@@ -130,7 +130,7 @@ def compute_noise_share(conditioning: ConditioningSettings) -> float:
 
 
 def convergence_s(elastic_n: np.ndarray, force_n: np.ndarray, bound_n: float) -> float:
-    """Return the time from which the elastic force stays within the bound of the force, s; NaN if it does not."""
+    """Return the time, s, from which the elastic force differs from the force by at most `bound_n`; NaN if none."""
     return float(convergence_samples((elastic_n - force_n)[:, None], bound_n)[0]) / RATE_HZ
 
 

@@ -10,10 +10,10 @@ from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
 from config.errors import RefusedError, ToolError
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 
 TOOL, SETTINGS = load_tool("simulated"), load_settings()
-PROTOCOL = load_protocol("trapezoid_2hz")
+PROTOCOL = load_grasp_protocol("trapezoid_2hz")
 
 
 def rig(tool=TOOL):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from acquisition.protocol_player import ProtocolPlayer, command_cycle
 from config.errors import GraspwatchError, RefusedError
-from config.load import list_shipped_names, load_protocol, load_tool
+from config.load import list_shipped_names, load_grasp_protocol, load_tool
 from config.schema import CustomWaveform, GraspProtocol, SineWaveform, Tool, TrapezoidWaveform
 
 TOOL = load_tool("simulated")
@@ -34,9 +34,9 @@ def as_quick_as(max_command_v_per_s: float) -> Tool:
 
 @pytest.mark.parametrize("name", list_shipped_names("protocols"))
 def test_every_shipped_protocol_passes_the_bound_on_the_rise_and_a_faster_one_is_refused(name: str) -> None:
-    fastest = np.diff(command_cycle(load_protocol(name), TOOL)).max() * RATE_HZ
+    fastest = np.diff(command_cycle(load_grasp_protocol(name), TOOL)).max() * RATE_HZ
     with pytest.raises(RefusedError, match=r"rises by .* V/s; the tool 'simulated' allows at most .* V/s\. Make"):
-        command_cycle(load_protocol(name), as_quick_as(0.99 * fastest))
+        command_cycle(load_grasp_protocol(name), as_quick_as(0.99 * fastest))
 
 
 def test_a_fall_is_never_too_fast() -> None:
@@ -57,7 +57,7 @@ def test_all_of_the_papers_protocols_are_shipped() -> None:
 
 @pytest.mark.parametrize(("name", "ramp_s", "peak_v"), TRAPEZOIDS)
 def test_a_shipped_trapezoid_has_the_papers_ramps_peak_hold_and_rest(name: str, ramp_s: float, peak_v: float) -> None:
-    command_v = command_cycle(load_protocol(name), TOOL)
+    command_v = command_cycle(load_grasp_protocol(name), TOOL)
     time_s = np.arange(len(command_v)) / RATE_HZ
     assert time_s[-1] + 1 / RATE_HZ == pytest.approx(2 * ramp_s + 0.5 + 0.5)
     grasp_s = 2 * ramp_s + 0.5
@@ -66,7 +66,7 @@ def test_a_shipped_trapezoid_has_the_papers_ramps_peak_hold_and_rest(name: str, 
 
 
 def test_the_sine_is_a_force_of_2_newton_first_at_2_then_at_4_hz_for_10_s() -> None:
-    command_v = command_cycle(load_protocol("sine"), TOOL)
+    command_v = command_cycle(load_grasp_protocol("sine"), TOOL)
     force_n = TOOL.command_to_force.to_force_n(command_v)
     assert len(command_v) == 10.5 * RATE_HZ  # with its rest
     assert not command_v[10_000:].any()

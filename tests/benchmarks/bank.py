@@ -10,7 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from grasps import conditioned, signals
 
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from estimator.baselines.filterpy_reference import ReferenceBank
 from estimator.evidence import BankEvidence
 from estimator.filter_bank import FilterBank
@@ -20,7 +20,7 @@ SAMPLES, BLOCK = 500, 5
 
 def measure() -> list[dict]:
     tool, library, settings = load_tool("simulated"), load_library("porcine"), load_settings()
-    samples, _ = conditioned(tool, library, settings, load_protocol("trapezoid_2hz"), "gallbladder")
+    samples, _ = conditioned(tool, library, settings, load_grasp_protocol("trapezoid_2hz"), "gallbladder")
     contact, after = signals(samples)
     after = after[:SAMPLES]
     bank = FilterBank.from_tool(tool, library)

@@ -11,14 +11,14 @@ from simulation import joined, simulate_raw, write_lvm
 from acquisition.recordings.recording import RecordingSource
 from app.analysis.headless import replay_recording, run_protocol
 from app.recordings.mcap_writer import RecordingContext
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 
 ROUNDS = 3
 
 
 def measure() -> list[dict]:
     settings, library, tool = load_settings(), load_library("porcine"), load_tool("simulated")
-    protocol = load_protocol("trapezoid_2hz")
+    protocol = load_grasp_protocol("trapezoid_2hz")
 
     def run() -> float:
         report = run_protocol(

@@ -66,7 +66,7 @@ def _files(folder: Path) -> list[tuple[str, float, str, str]]:
 
     def replay() -> float:
         recording = RecordingSource(run, rig.tool)
-        replay_recording(recording, RecordingContext.from_file(recording.mcap_file), lambda _: None)
+        replay_recording(recording, RecordingContext.from_recording(recording.mcap_file), lambda _: None)
         return recording.duration_s
 
     def take_in() -> float:

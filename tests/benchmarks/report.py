@@ -7,7 +7,7 @@ from pathlib import Path
 from simulation import joined, simulate_raw, write_lvm
 
 from app.analysis.report.page import render_report_page
-from app.analysis.report.report import read_report, write_atomically
+from app.analysis.report.report import analyze_recordings, write_atomically
 from config.load import load_library, load_settings, load_tool
 
 GRASPS = 500
@@ -23,9 +23,9 @@ def measure() -> list[dict]:
             for seed, tissue in enumerate(library.tissues)
         }
         warm_up = write_lvm(folder / "warm-up.lvm", joined(simulate_raw("liver", cycles=1)))
-        read_report([warm_up], tool, library, settings, {}, lambda _: None)
+        analyze_recordings([warm_up], tool, library, settings, {}, lambda _: None)
         begin = time.perf_counter()
-        report = read_report([*files], tool, library, settings, files, lambda _: None)
+        report = analyze_recordings([*files], tool, library, settings, files, lambda _: None)
         read_s = time.perf_counter() - begin
         write_atomically(folder / "report.html", render_report_page(report, lambda _: None))
         whole_s = time.perf_counter() - begin

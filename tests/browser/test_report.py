@@ -11,7 +11,7 @@ from simulation import joined, simulate_raw, write_lvm
 from watched import Watched
 
 from app.analysis.report.page import render_report_page as report_page
-from app.analysis.report.report import Report, read_report
+from app.analysis.report.report import Report, analyze_recordings
 
 pytestmark = pytest.mark.browser
 A4_PX = 695  # what A4 leaves between the page's margins
@@ -172,7 +172,7 @@ def test_hundreds_of_grasps_are_a_page_that_can_be_used(browser, tmp_path):
 @pytest.mark.recordings
 def test_a_recording_of_the_real_tool_has_a_report(recordings, recording_tool, library, settings, watch, tmp_path):
     path = next(path for path in recordings if path.name.startswith("ureter4Hz"))
-    report = read_report([path], recording_tool, library, settings, {path: "ureter"}, lambda _: None)
+    report = analyze_recordings([path], recording_tool, library, settings, {path: "ureter"}, lambda _: None)
     page = tmp_path / "report.html"
     page.write_text(report_page(report, lambda _: None))
     viewer = drawn(watch(page.as_uri()))

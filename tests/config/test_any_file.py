@@ -18,8 +18,8 @@ from config.load import (
     CONFIG_DIR,
     build_graspable_library,
     list_shipped_names,
+    load_grasp_protocol,
     load_library,
-    load_protocol,
     load_settings,
     load_tool,
 )
@@ -28,7 +28,7 @@ from config.schema import GraspProtocol, TissueLibrary
 LOADERS: dict[str, Callable[[str], Any]] = {
     "tools": load_tool,
     "tissues": load_library,
-    "protocols": load_protocol,
+    "protocols": load_grasp_protocol,
     ".": lambda path: load_settings(Path(path)),
 }
 FILES = [
@@ -136,4 +136,4 @@ def test_a_frequency_beyond_all_measure_is_no_motor_command(tmp_path: Path) -> N
     content["waveform"] |= {"then_hz": 1e308, "then_cycles": 10**308}
     path.write_text(tomli_w.dumps(content))
     with pytest.raises(RefusedError, match="gives no motor command"):
-        command_cycle(load_protocol(str(path)), TOOL)
+        command_cycle(load_grasp_protocol(str(path)), TOOL)

@@ -35,7 +35,7 @@ def test_what_protects_tissue_reckons_with_the_upper_end(tmp_path: Path) -> None
     assert tool.scale_text == "N by Eq. (2), scale 0.1 (0.08 to 0.12), measured 2026-11-20"
     assert tool.has_known_scale
     assert tool.to_displayed_n(1.2) == pytest.approx(1.0)
-    for tissue, shown_n in LIBRARY.displayed_thresholds_n(tool).items():
+    for tissue, shown_n in LIBRARY.convert_thresholds_to_displayed_n(tool).items():
         assert shown_n == pytest.approx(LIBRARY.threshold_n(tissue) / 1.2)
     assert tool.constant_origins[-1].expires.isoformat() == "2027-11-20"
 

@@ -15,14 +15,14 @@ from config.load import (
     CONFIG_DIR,
     build_graspable_library,
     list_shipped_names,
+    load_grasp_protocol,
     load_library,
-    load_protocol,
     load_settings,
     load_tool,
 )
 from config.schema import Settings, TissueLibrary, Tool
 
-LOADERS = {"tools": load_tool, "tissues": load_library, "protocols": load_protocol}
+LOADERS = {"tools": load_tool, "tissues": load_library, "protocols": load_grasp_protocol}
 SHIPPED = [(folder, name) for folder in LOADERS for name in list_shipped_names(folder)]
 TISSUES = ("liver", "small_bowel", "bladder", "gallbladder")
 TWO_N_MM = {"liver": "0.63", "small_bowel": "0.73", "bladder": "7.6", "gallbladder": "4.2"}
@@ -181,7 +181,7 @@ def test_all_faults_of_a_file_are_told_at_once_each_with_its_place(tmp_path: Pat
 @pytest.mark.parametrize(
     ("load", "shipped", "right", "wrong"),
     [
-        (load_protocol, "protocols/trapezoid_2hz", "peak_v", "peak_mv"),
+        (load_grasp_protocol, "protocols/trapezoid_2hz", "peak_v", "peak_mv"),
         (load_library, "tissues/porcine", "beta_per_m", "beta_per_mm"),
         (load_tool, "tools/nidaq", "force_ceiling_n", "force_ceiling"),
         (lambda path: load_settings(Path(path)), "graspwatch", "frame_rate_hz", "framerate_hz"),
@@ -198,14 +198,14 @@ def test_a_misspelt_or_wrongly_scaled_key_is_refused_and_the_right_one_suggested
 
 
 def test_a_key_like_no_other_gets_no_suggestion(tmp_path: Path) -> None:
-    told = fault_of(load_protocol, edited(tmp_path / "p.toml", TRAPEZOID, ("title", "zzzzz = 1\ntitle")))
+    told = fault_of(load_grasp_protocol, edited(tmp_path / "p.toml", TRAPEZOID, ("title", "zzzzz = 1\ntitle")))
     assert "zzzzz: unknown key" in told
     assert "did you mean" not in told
 
 
 @pytest.mark.parametrize("value", ['"2.0"', "true", "[2.0]", "nan", "inf", "-1.0", "0.0"])
 def test_a_value_of_the_wrong_kind_or_outside_its_range_is_told_with_its_key(tmp_path: Path, value: str) -> None:
-    told = fault_of(load_protocol, edited(tmp_path / "p.toml", TRAPEZOID, ("peak_v = 2.0", f"peak_v = {value}")))
+    told = fault_of(load_grasp_protocol, edited(tmp_path / "p.toml", TRAPEZOID, ("peak_v = 2.0", f"peak_v = {value}")))
     assert told.startswith("1 fault to mend:")
     assert "waveform" in told
     assert "peak_v" in told
@@ -213,13 +213,13 @@ def test_a_value_of_the_wrong_kind_or_outside_its_range_is_told_with_its_key(tmp
 
 def test_whole_numbers_do_for_decimal_ones(tmp_path: Path) -> None:
     path = edited(tmp_path / "p.toml", TRAPEZOID, ("peak_v = 2.0", "peak_v = 2"))
-    assert load_protocol(str(path)).waveform.peak_v == 2.0
+    assert load_grasp_protocol(str(path)).waveform.peak_v == 2.0
 
 
 @pytest.mark.parametrize("cycles", ["0", "10001", "1.5", '"3"'])
 def test_cycles_are_whole_and_bounded(tmp_path: Path, cycles: str) -> None:
     path = edited(tmp_path / "p.toml", TRAPEZOID, ('title = "Mine"', f'title = "Mine"\ncycles = {cycles}'))
-    assert f"{path}: cycles: " in fault_of(load_protocol, path)
+    assert f"{path}: cycles: " in fault_of(load_grasp_protocol, path)
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_cycles_are_whole_and_bounded(tmp_path: Path, cycles: str) -> None:
 def test_a_waveform_that_is_none_is_refused_with_what_it_lacks(tmp_path: Path, table: str, told: str) -> None:
     path = tmp_path / "p.toml"
     path.write_text(f'name = "mine"\ntitle = "Mine"\n[waveform]\n{table}\n')
-    assert told in fault_of(load_protocol, path)
+    assert told in fault_of(load_grasp_protocol, path)
 
 
 @pytest.mark.parametrize(
@@ -309,7 +309,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_broken_toml_is_told_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     path.write_text('name = "mine"\ntitle = \n')
-    told = fault_of(load_protocol, path)
+    told = fault_of(load_grasp_protocol, path)
     assert told.startswith(f"{path}: is not valid TOML")
     assert "line 2" in told
 
@@ -318,7 +318,7 @@ def test_broken_toml_is_told_with_its_line(tmp_path: Path) -> None:
 def test_a_binary_or_wrongly_encoded_file_is_told(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "p.toml"
     path.write_bytes(content)
-    assert fault_of(load_protocol, path).startswith(f"{path}: cannot be read as a text file")
+    assert fault_of(load_grasp_protocol, path).startswith(f"{path}: cannot be read as a text file")
 
 
 def test_a_folder_is_no_file(tmp_path: Path) -> None:
@@ -328,7 +328,7 @@ def test_a_folder_is_no_file(tmp_path: Path) -> None:
 def test_an_empty_file_lacks_all_its_keys(tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     path.touch()
-    told = fault_of(load_protocol, path)
+    told = fault_of(load_grasp_protocol, path)
     assert all(f"{path}: {key}: " in told for key in ("name", "title", "waveform"))
 
 

@@ -63,7 +63,9 @@ def test_a_run_is_recorded_from_before_its_beginning_and_replays_bit_for_bit(ser
     assert [grasp.model_dump(mode="json") for grasp in kept.grasps] == told
     assert (kept.run.state, kept.run.by, kept.run.tissue) == ("finished", "Ada", "bladder")
     recording = RecordingSource(path, RIG)
-    comparison = replay_recording(recording, RecordingContext.from_file(recording.mcap_file), lambda _: None).comparison
+    comparison = replay_recording(
+        recording, RecordingContext.from_recording(recording.mcap_file), lambda _: None
+    ).comparison
     assert comparison.compared_samples == ticks[-1] + 1 - begins
     assert comparison.unequal_samples == 0
     listed = {each["name"]: each for each in service.http.get("/api/recordings").json()["recordings"]}
@@ -79,7 +81,7 @@ def test_the_second_run_does_not_depend_on_the_first(service: Service) -> None:
         runs.append(recorded(service, run["id"]))
     for path in runs:
         recording = RecordingSource(path, RIG)
-        report = replay_recording(recording, RecordingContext.from_file(recording.mcap_file), lambda _: None)
+        report = replay_recording(recording, RecordingContext.from_recording(recording.mcap_file), lambda _: None)
         assert report.comparison.unequal_samples == 0
         assert report.grasps[-1].index == 1
 

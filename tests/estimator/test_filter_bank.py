@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from estimator import filter_bank as bank_module
 from estimator.baselines.filterpy_reference import ReferenceBank
 from estimator.filter_bank import ContactStart, FilterBank
@@ -39,7 +39,7 @@ def columns(force_n, displacement_m):
 def simulated(tissue, seed, deviation=NO_DEVIATION):
     """One simulated grasp: contact, the samples after it, and the true log parameters."""
     grasp = simulate_grasp(
-        TOOL, LIBRARY, SETTINGS.conditioning, load_protocol("trapezoid_2hz"), GraspCase(tissue, seed, deviation)
+        TOOL, LIBRARY, SETTINGS.conditioning, load_grasp_protocol("trapezoid_2hz"), GraspCase(tissue, seed, deviation)
     )
     material = grasp.specimen.material
     return *signals(grasp.samples), np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s])
@@ -47,7 +47,9 @@ def simulated(tissue, seed, deviation=NO_DEVIATION):
 
 @pytest.fixture(scope="module", params=TISSUES)
 def grasp(request):
-    samples, specimen = conditioned(TOOL, LIBRARY, SETTINGS, load_protocol("trapezoid_2hz"), request.param, seed=3)
+    samples, specimen = conditioned(
+        TOOL, LIBRARY, SETTINGS, load_grasp_protocol("trapezoid_2hz"), request.param, seed=3
+    )
     return request.param, samples, specimen
 
 

@@ -15,7 +15,7 @@ from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleFlag
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import create_in_process_options
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from estimator.constants import FILLED_JAWS_MARGIN_M
 from estimator.estimate_block import IdentificationResult
 from estimator.online_estimator import TissueEstimator
@@ -46,13 +46,13 @@ def run(tissue: str, protocol: str = "strong_2hz", seed: int = 1, cycles: int = 
     blocks, found, limit_n, command_v = [], [], [], 0.0
     limiter, player = (
         ForceLimiter(TOOL, LIBRARY, SETTINGS.limiter),
-        ProtocolPlayer(load_protocol(protocol), TOOL, cycles),
+        ProtocolPlayer(load_grasp_protocol(protocol), TOOL, cycles),
     )
     with NidaqSource(TOOL, create_in_process_options(board), board.clock.now_ns) as source:
         acquisition = AcquisitionController(
             source, TOOL, SETTINGS.conditioning, ForceLimiter(TOOL, LIBRARY, SETTINGS.limiter), Safety.ARMED
         )
-        acquisition.start("run", load_protocol(protocol), cycles)
+        acquisition.start("run", load_grasp_protocol(protocol), cycles)
         while not acquisition.pop_ended_runs():
             block = acquisition.process_block()
             blocks.append(block.samples)
@@ -162,14 +162,14 @@ def test_the_thickness_at_contact_is_told_whether_or_not_it_is_evidence(used: bo
     settings = SETTINGS.model_copy(update={"identification": identification})
     for seed in range(3):
         for tissue in ("liver", "small_bowel"):
-            samples, specimen = conditioned(TOOL, LIBRARY, SETTINGS, load_protocol("trapezoid_2hz"), tissue, seed)
+            samples, specimen = conditioned(TOOL, LIBRARY, SETTINGS, load_grasp_protocol("trapezoid_2hz"), tissue, seed)
             if TOOL.geometry.opening_m - specimen.thickness_m > 2 * FILLED_JAWS_MARGIN_M:
                 # a touch is told a sample late, up to 0.1 mm at 100 mm/s; the strain noise adds to it
                 assert thickness_m(samples, settings=settings) == pytest.approx(specimen.thickness_m, abs=0.2e-3)
 
 
 def test_no_thickness_is_told_that_nobody_can_know() -> None:
-    fast = load_protocol("trapezoid_2hz")
+    fast = load_grasp_protocol("trapezoid_2hz")
     filling, _ = conditioned(TOOL, LIBRARY, SETTINGS, fast, "bladder")
     assert thickness_m(filling) is None  # the jaws do not open further
     liver, _ = conditioned(TOOL, LIBRARY, SETTINGS, fast, "liver")

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition.sample_block import SampleFlag
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from estimator.constants import EMPTY_JAWS_TRAVEL_M
 from estimator.decision import UNDECIDED, UNKNOWN
 from estimator.online_estimator import RestNoiseEstimator, TissueEstimator
@@ -19,7 +19,7 @@ from estimator.studies.simulated_grasps import GraspCase, simulate_grasp, with_n
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
 SIGNALS = ("jaw_force_n", "jaw_displacement_m", "newton_per_volt", "metre_per_volt")
-FAST = load_protocol("trapezoid_2hz")
+FAST = load_grasp_protocol("trapezoid_2hz")
 
 
 def held_in(tissue, seed=1, cycles=1, protocol=FAST, tool=TOOL):
@@ -44,7 +44,7 @@ def most_named(records):
 @pytest.mark.parametrize("tissue", list(LIBRARY.tissues))
 def test_names_the_tissue_of_simulated_grasps(tissue, protocol):
     """Liver and small bowel overlap: 88 % is what knowing the parameters themselves would give for these two."""
-    records, _ = estimated(held_in(tissue, seed=11, cycles=8, protocol=load_protocol(protocol)))
+    records, _ = estimated(held_in(tissue, seed=11, cycles=8, protocol=load_grasp_protocol(protocol)))
     assert len(records) == 8
     assert all(record.valid for record in records)
     assert most_named(records) == tissue

@@ -130,7 +130,7 @@ def collect_versions() -> dict[str, str]:
     }
 
 
-def read_report(
+def analyze_recordings(
     files: Sequence[Path],
     tool: Tool,
     library: TissueLibrary,
@@ -166,7 +166,7 @@ def read_common_configuration(files: Sequence[Path]) -> tuple[TissueLibrary, Set
         RecordingError: a recording cannot be read.
     """
     containers = [McapFile(path) for path in files if is_mcap(path)]
-    rigs = [RecordingContext.from_file(container) for container in containers]
+    rigs = [RecordingContext.from_recording(container) for container in containers]
     alike = len(rigs) == len(files) and all(
         (r.library, r.settings) == (rigs[0].library, rigs[0].settings) for r in rigs
     )

@@ -123,7 +123,7 @@ def build_report(
         OSError: the page cannot be written.
     """
     from app.analysis.report.page import render_report_page  # a slow import
-    from app.analysis.report.report import read_common_configuration, read_report, write_atomically
+    from app.analysis.report.report import analyze_recordings, read_common_configuration, write_atomically
 
     told = 0.0
 
@@ -135,7 +135,7 @@ def build_report(
 
     try:
         library, settings = read_common_configuration([recording]) or (library, settings)
-        report = read_report([recording], tool, library, settings, {}, progress)
+        report = analyze_recordings([recording], tool, library, settings, {}, progress)
     except RecordingError as error:
         raise RecordingError(str(error).replace(str(recording), recording.name)) from None
     text = render_report_page(report, progress)

@@ -21,7 +21,7 @@ FORBIDDEN_RESPONSE: dict[int | str, dict[str, Any]] = {403: {"description": "Not
 @router.get(
     "", dependencies=[require_role(Role.VIEWER)], responses={503: {"description": "No index", **PROBLEM_RESPONSE}}
 )
-async def content(recording_bin: RecordingBinDep) -> BinContent:
+async def list_deleted_recordings(recording_bin: RecordingBinDep) -> BinContent:
     """List deleted recordings that can be restored. They take disk space until they expire or the bin is emptied."""
     return await recording_bin.list_content()
 

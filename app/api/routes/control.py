@@ -63,9 +63,8 @@ async def give_back(request: Request, tool_service: ToolServiceDep) -> ControlIn
     """Release control. It is refused if another user has control, and changes nothing if control is free."""
     name = _require_user_name(request)
     if not tool_service.release_control(name) and tool_service.control_lease.holder:
-        raise ProblemError(
-            HTTPStatus.CONFLICT, f"{tool_service.control_lease.holder} has control, and only he can give it back."
-        )
+        holder = tool_service.control_lease.holder
+        raise ProblemError(HTTPStatus.CONFLICT, f"{holder} has control. Only {holder} can release it.")
     return await control(tool_service)
 
 

@@ -22,7 +22,7 @@ from app.messages.wire import ArmRequest, Grasp, Phase, Role, Run, RunRequest, S
 from app.people.authorization import get_user, requester_name, require_role
 from app.service.tool_service import ToolService
 from config.errors import ConfigurationError, RefusedError, ServiceError
-from config.load import build_graspable_library, list_shipped_names, load_protocol, require_known_name
+from config.load import build_graspable_library, list_shipped_names, load_grasp_protocol, require_known_name
 from config.schema import ToolKind
 
 router = APIRouter(prefix="/api", tags=["runs"])
@@ -47,7 +47,7 @@ async def start_run(request: Request, tool_service: ToolServiceDep, body: Annota
     check_has_tool(tool_service)
     override = _unmeasured_scale_reason(request, tool_service, body.unmeasured_scale)
     try:
-        protocol = load_protocol(require_known_name(body.protocol, list_shipped_names("protocols"), "protocol"))
+        protocol = load_grasp_protocol(require_known_name(body.protocol, list_shipped_names("protocols"), "protocol"))
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "protocol") from None
     cycles = body.cycles or protocol.cycles

@@ -13,7 +13,7 @@ from app.messages.wire import Health, LibraryInfo, Phase, ProtocolInfo, Role, To
 from app.people.authorization import PUBLIC_ROUTE, get_user, require_role
 from app.stream.descriptions import build_library_info, build_tool_info
 from config.errors import RefusedError
-from config.load import list_shipped_names, load_protocol, read_modification_times
+from config.load import list_shipped_names, load_grasp_protocol, read_modification_times
 from config.schema import GraspProtocol, Tool
 
 router = APIRouter(tags=["catalogue"])
@@ -64,7 +64,7 @@ async def protocols(tool_service: ToolServiceDep) -> Response:
 @functools.lru_cache(maxsize=2)
 def _build_previews(tool: Tool, stamp_ns: tuple[int, ...]) -> bytes:
     """Build the previews as JSON, cached until a file changes: many requests must not delay a STOP."""
-    result = [_build_preview(load_protocol(name), tool) for name in list_shipped_names("protocols")]
+    result = [_build_preview(load_grasp_protocol(name), tool) for name in list_shipped_names("protocols")]
     result.sort(key=lambda protocol: (protocol.cycle_s, protocol.name))
     return TypeAdapter(list[ProtocolInfo]).dump_json(result)
 

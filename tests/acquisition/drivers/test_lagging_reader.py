@@ -17,10 +17,10 @@ from acquisition.safety_state_machine import Safety
 from acquisition.simulation.board import Plant, SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
-PROTOCOL = load_protocol("trapezoid_2hz")
+PROTOCOL = load_grasp_protocol("trapezoid_2hz")
 TURN_NS, BLOCK_NS = 1_000_000, 5_000_000
 RISE_V_PER_S = PROTOCOL.waveform.peak_v / PROTOCOL.waveform.ramp_up_s
 CYCLES = 3

@@ -35,7 +35,7 @@ def test_what_is_encoded_is_decoded_bit_for_bit_also_by_the_schema_alone(
     layout: RowLayout, rows: int, seed: int
 ) -> None:
     columns = filled(layout, rows, seed)
-    data = layout.encode(columns)
+    data = layout.encode_rows(columns)
     assert len(data) == rows * layout.row_bytes
     for reader in (layout, RowLayout.from_schema("graspwatch.Things", layout.descriptor_set)):
         read = reader.decode(data)
@@ -49,7 +49,7 @@ def test_protobufs_own_reader_finds_every_number(layout: RowLayout, seed: int) -
     pool = descriptor_pool.DescriptorPool()
     pool.Add(descriptor_pb2.FileDescriptorSet.FromString(layout.descriptor_set).file[0])
     kind = message_factory.GetMessageClass(pool.FindMessageTypeByName("graspwatch.Things"))
-    data = layout.encode(columns)
+    data = layout.encode_rows(columns)
     message = kind.FromString(data[layout.row_bytes :])
     for column in layout.columns:
         owner = getattr(message, column.group) if column.group else message
@@ -60,4 +60,4 @@ def test_a_message_of_another_layout_is_refused() -> None:
     one = RowLayout("A", [Column("a"), Column("b", "u4")])
     other = RowLayout("A", [Column("a", "u4"), Column("b")])
     with pytest.raises(ValueError, match="another layout"):
-        one.decode(other.encode({"a": np.ones(1, "u4"), "b": np.ones(1)}))
+        one.decode(other.encode_rows({"a": np.ones(1, "u4"), "b": np.ones(1)}))

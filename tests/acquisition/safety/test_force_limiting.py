@@ -15,14 +15,14 @@ from acquisition.sample_block import SampleFlag
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.service import create_in_process_options
 from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from config.schema import GraspProtocol, Tool, TrapezoidWaveform
 
 TOOL, LIBRARY, SETTINGS = load_tool("simulated"), load_library("porcine"), load_settings()
 LOWEST_N, LIVER_N = LIBRARY.lowest_threshold_n, LIBRARY.threshold_n("liver")
 LIMIT_N = SETTINGS.limiter.margin * LOWEST_N
 HOLD_N = SETPOINT_SHARE * LIMIT_N
-STRONG = load_protocol("strong_2hz")
+STRONG = load_grasp_protocol("strong_2hz")
 HELD_BACK, LET_GO = SampleFlag.LIMITED.value, SampleFlag.RELEASED.value
 SEEDS = range(3)
 STEEP = TOOL.plausible.model_copy(update={"strain_step_v": 0.4})
@@ -171,7 +171,7 @@ def test_exactly_the_samples_are_flagged_whose_command_is_lower_than_the_protoco
 @pytest.mark.parametrize("name", ["trapezoid_4hz", "trapezoid_2hz", "trapezoid_025hz", "staircase"])
 def test_the_papers_protocols_are_not_touched(name):
     for tissue in LIBRARY.tissues:
-        found = run(tissue, protocol=load_protocol(name))
+        found = run(tissue, protocol=load_grasp_protocol(name))
         assert not len(found.flagged(HELD_BACK))
         assert found.samples["motor_command_v"].max() == pytest.approx(2.0, abs=0.17)  # ramps are met in steps of 5 ms
 

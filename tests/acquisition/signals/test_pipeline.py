@@ -17,7 +17,7 @@ from acquisition.recordings.recording import RecordingSource
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
 from acquisition.signals.calibration import compute_sensor_signals
 from acquisition.signals.pipeline import ConditioningPipeline
-from config.load import load_protocol, load_tool
+from config.load import load_grasp_protocol, load_tool
 from config.schema import ConditioningSettings, Tool
 
 TOOL = load_tool("simulated")
@@ -274,8 +274,8 @@ def test_once_tared_how_samples_are_cut_into_blocks_does_not_matter(tool: Tool, 
 
 
 def test_a_contact_in_the_block_in_which_the_last_grasp_ends_is_its_own() -> None:
-    waveform = load_protocol("trapezoid_4hz").waveform.model_copy(update={"rest_s": 0.03})
-    hasty = load_protocol("trapezoid_4hz").model_copy(update={"waveform": waveform})
+    waveform = load_grasp_protocol("trapezoid_4hz").waveform.model_copy(update={"rest_s": 0.03})
+    hasty = load_grasp_protocol("trapezoid_4hz").model_copy(update={"waveform": waveform})
     raw = joined(simulate_raw("liver", hasty, cycles=3))
     quiet = replace(raw, strain_v=np.where(np.arange(len(raw)) < 520, REST_V, raw.strain_v))
     assert_same(process(TOOL, by_fives(quiet)), process(TOOL, cut(quiet, range(0, len(raw), LARGEST_BLOCK))))

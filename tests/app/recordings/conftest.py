@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from app.analysis.headless import run_protocol
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 
 
 def record(path: Path, tissue: str = "liver", cycles: int = 2) -> Path:
@@ -13,7 +13,7 @@ def record(path: Path, tissue: str = "liver", cycles: int = 2) -> Path:
         load_tool("simulated"),
         load_library("porcine"),
         load_settings(),
-        load_protocol("strong_2hz"),
+        load_grasp_protocol("strong_2hz"),
         tissue,
         cycles=cycles,
         seed=3,

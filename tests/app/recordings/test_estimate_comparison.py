@@ -14,7 +14,7 @@ LABVIEW = load_tool("smart_tool_2013")
 
 def replayed(path: Path, **changes):
     recording = RecordingSource(path, LABVIEW)
-    rig = RecordingContext.from_file(recording.mcap_file)
+    rig = RecordingContext.from_recording(recording.mcap_file)
     settings = load_settings()
     for part, values in changes.items():
         settings = settings.model_copy(update={part: getattr(settings, part).model_copy(update=values)})
@@ -46,6 +46,6 @@ def test_what_does_not_matter_for_estimates_is_no_difference(recorded: Path) -> 
 @pytest.mark.parametrize("speed", [1000.0])
 def test_the_cut_into_blocks_does_not_matter(recorded: Path, speed: float) -> None:
     recording = RecordingSource(recorded, LABVIEW, speed)
-    report = replay_recording(recording, RecordingContext.from_file(recording.mcap_file), lambda _: None)
+    report = replay_recording(recording, RecordingContext.from_recording(recording.mcap_file), lambda _: None)
     assert report.comparison.compared_samples == report.samples
     assert report.comparison.unequal_samples == 0

@@ -15,10 +15,10 @@ from app.recordings.recorder import PublishedEstimates, Recorder, RunMetadata
 from app.recordings.run_reader import read_run
 from app.recordings.topics import RUN_TOPIC as RUN_TOPIC
 from app.recordings.topics import encode_message
-from config.load import load_library, load_protocol, load_settings, load_tool
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from estimator.estimate_block import estimate_dtype
 
-PROTOCOL = load_protocol("trapezoid_4hz")
+PROTOCOL = load_grasp_protocol("trapezoid_4hz")
 RIG = RecordingContext(load_tool("simulated"), load_library("porcine"), load_settings())
 BLOCK, BEFORE, RUN, AFTER = 5, 40, 60, 300  # blocks; recording ends with the second after the run, and a grace
 TISSUES = len(RIG.library.tissues)

@@ -1,4 +1,4 @@
-"""Who deleted a recording and when; whether the limiter held a grasp back, from its message."""
+"""Add columns to the index: who deleted a recording and when, and whether the limiter held a grasp back."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -9,7 +9,7 @@ from simulation import joined, simulate_raw, write_lvm
 
 from app.analysis.headless import replay_recording
 from app.analysis.report.recording_analyzer import analyze_recording, open_recorded_run
-from app.analysis.report.report import Report, read_report
+from app.analysis.report.report import Report, analyze_recordings
 from app.analysis.report.stress_strain import build_curve
 from app.recordings.mcap_writer import RecordingContext
 from config.errors import RecordingError
@@ -74,11 +74,11 @@ def test_progress_rises_over_all_files_and_a_bad_one_is_told_by_its_name(tmp_pat
     good = write_lvm(tmp_path / "good.lvm", joined(simulate_raw("liver", "trapezoid_4hz")))
     (tmp_path / "bad.lvm").write_text("LabVIEW Measurement\n")
     shares = []
-    report = read_report([good], recording_tool, library, settings, {good: "liver"}, shares.append)
+    report = analyze_recordings([good], recording_tool, library, settings, {good: "liver"}, shares.append)
     assert shares == sorted(shares)
     assert report.labels == {"good.lvm": "liver"}
     with pytest.raises(RecordingError, match=r"bad\.lvm"):
-        read_report([good, tmp_path / "bad.lvm"], recording_tool, library, settings, {}, shares.append)
+        analyze_recordings([good, tmp_path / "bad.lvm"], recording_tool, library, settings, {}, shares.append)
 
 
 def test_the_document_has_no_number_that_json_has_not():
