@@ -202,17 +202,17 @@ class StopCommand:
 
 
 @dataclass(frozen=True, slots=True)
-class SimulatedLoadCommand:
+class SimulatedPullAndGaugeCommand:
     """Set the pull, N, on a simulated tool's handle and the gauge, m, between its jaws (0: empty, None: tissue)."""
 
     pull_n: float
     gauge_m: float | None
 
 
-AnyCommand = ArmCommand | DisarmCommand | AcknowledgeCommand | StartCommand | StopCommand | SimulatedLoadCommand
+AnyCommand = ArmCommand | DisarmCommand | AcknowledgeCommand | StartCommand | StopCommand | SimulatedPullAndGaugeCommand
 _COMMAND_TYPES = {
     kind.__name__.lower(): kind
-    for kind in (ArmCommand, DisarmCommand, AcknowledgeCommand, StartCommand, StopCommand, SimulatedLoadCommand)
+    for kind in (ArmCommand, DisarmCommand, AcknowledgeCommand, StartCommand, StopCommand, SimulatedPullAndGaugeCommand)
 }
 
 

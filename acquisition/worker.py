@@ -100,7 +100,7 @@ def _run_acquisition(
                 answer = _execute_command(command, acquisition)
                 if isinstance(command, bus.StartCommand) and command.tissue and grasper and not answer.refused:
                     grasper.set_tissue(command.tissue)
-                if isinstance(command, bus.SimulatedLoadCommand) and grasper:
+                if isinstance(command, bus.SimulatedPullAndGaugeCommand) and grasper:
                     grasper.handle_pull_n, grasper.gauge_m = command.pull_n, command.gauge_m
                 commands.send(bus.pack_reply(answer))
             if (why := server.check(time.monotonic())) and acquisition.running:

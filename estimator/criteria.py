@@ -54,7 +54,7 @@ class ForceErrors:
         return convergence_samples(self._concatenate(), self._convergence_share * self._peak_n)
 
     def mean_error_n(self) -> np.ndarray:
-        """Return each filter's mean error over its estimates, N, (K,); NaN for a filter without any."""
+        """Return each filter's mean force error (its own less the measured), N, (K,); NaN for a filter without any."""
         errors = self._concatenate()
         sound = np.isfinite(errors)
         count = sound.sum(axis=0)

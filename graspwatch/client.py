@@ -37,10 +37,10 @@ from app.messages.wire import (
     ToolInfo,
 )
 from config.network import is_this_computer
-from graspwatch.asking import Asking
 from graspwatch.errors import ClientError
 from graspwatch.frames import Frame
-from graspwatch.stream import messages
+from graspwatch.live_client import messages
+from graspwatch.rest_client import RestClient
 
 ASK_AGAIN_S = 0.1
 
@@ -80,7 +80,7 @@ class Graspwatch:
             timeout=timeout_s,
             trust_env=not is_this_computer(httpx.URL(url).host),  # proxy variables are for other computers
         )
-        self._rest_client = Asking(self._http)
+        self._rest_client = RestClient(self._http)
 
     async def __aenter__(self) -> Self:
         await self._http.__aenter__()

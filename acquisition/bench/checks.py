@@ -117,7 +117,7 @@ def check_force_scale(tool: Tool) -> CheckResult:
 
 
 def lateness_ms(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the samples' rate, Hz, and each block's delay behind the earliest, ms, sorted, (n,)."""
+    """Return the measured sample rate, Hz, and each block's delay behind the most punctual one, ms, sorted, (n,)."""
     measured_hz = 1e9 / float(np.polyfit(ticks, arrived_ns - arrived_ns[0], 1)[0])
     behind_ns = arrived_ns - ticks * (1e9 / measured_hz)
     return measured_hz, np.sort(behind_ns - behind_ns.min()) / 1e6

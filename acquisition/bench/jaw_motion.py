@@ -51,7 +51,7 @@ class EmptyJaws:
     def close(self) -> float:
         """Close until the encoder stands still; return its angle, degrees."""
         written, last_deg, still = self._source.write_command(0.0), float("inf"), 0
-        for _ in range(count_blocks(CLOSING_TIMEOUT_S, self._tool)):
+        for _ in range(convert_seconds_to_blocks(CLOSING_TIMEOUT_S, self._tool)):
             if written.command_v < CLOSING_COMMAND_V:
                 written = self._source.write_command(min(written.command_v + RAMP_STEP_V, CLOSING_COMMAND_V))
             block = self.read_block()
@@ -81,7 +81,7 @@ def read_settled(written: AppliedCommand, read: Callable[[], RawBlock]) -> RawSi
     return concatenate_signals([block, *(read() for _ in range(LEVEL_BLOCKS - 1))][SETTLING_BLOCKS:])
 
 
-def count_blocks(seconds: float, tool: Tool) -> int:
+def convert_seconds_to_blocks(seconds: float, tool: Tool) -> int:
     return round(seconds * tool.board.sample_rate_hz / tool.board.block_samples)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from acquisition.acquisition_loop import AcquisitionController
 from acquisition.bench.checks import lateness_ms
-from acquisition.bench.jaw_motion import count_blocks
+from acquisition.bench.jaw_motion import convert_seconds_to_blocks
 from acquisition.drivers.nidaq import NidaqSource
 from acquisition.worker_process import RealtimeGrant, apply_realtime
 from config.errors import ToolError
@@ -76,14 +76,14 @@ def _measure_in_process(
     line: Connection,
 ) -> None:
     source, _ = open_tool(tool, library, next(iter(library.tissues)), 0)
-    most, blocks, ended = count_blocks(seconds, tool), 0, None
+    most, blocks, ended = convert_seconds_to_blocks(seconds, tool), 0, None
     ticks, done_ns = np.empty(most), np.empty(most, np.int64)
     granted: RealtimeGrant | None = None
     try:
         with source:
             acquisition = AcquisitionController(source, tool, settings.conditioning)
             granted = apply_realtime(wanted, priority, core_index=0)
-            for _ in range(count_blocks(SETTLING_S, tool)):
+            for _ in range(convert_seconds_to_blocks(SETTLING_S, tool)):
                 acquisition.process_block()
             while blocks < most:
                 granted.priority.renew()
@@ -103,7 +103,7 @@ def _measure_in_process(
 
 @contextmanager
 def cpu_load(on: bool) -> Iterator[None]:
-    """If `on`, run one program a core that only computes, inside the `with` block."""
+    """If `on`, keep every CPU core busy inside the `with` block, each with an endless computation."""
     context = multiprocessing.get_context("spawn")
     programs = [
         context.Process(target=_compute_forever, daemon=True) for _ in range((os.cpu_count() or 1) if on else 0)

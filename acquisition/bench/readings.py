@@ -11,7 +11,12 @@ from acquisition.acquisition_loop import AcquisitionController, RunOutcome
 from acquisition.bench import checks
 from acquisition.bench.checks import CheckOutcome, RawSignals
 from acquisition.bench.fits import LoadingPass
-from acquisition.bench.jaw_motion import CLOSING_COMMAND_V, concatenate_signals, count_blocks, zero_on_process_death
+from acquisition.bench.jaw_motion import (
+    CLOSING_COMMAND_V,
+    concatenate_signals,
+    convert_seconds_to_blocks,
+    zero_on_process_death,
+)
 from acquisition.drivers.nidaq import NidaqSource
 from acquisition.recordings.recording import RecordingSource
 from acquisition.safety_state_machine import Safety
@@ -71,7 +76,9 @@ class CalibrationBench:
     def _read_still(self, seconds: float, pull_n: float) -> RawSignals:
         self._set_load(pull_n, 0.0)
         with self._reading_context(), NidaqSource(self._tool, self._options, self._clock) as source:
-            return concatenate_signals([source.read_block() for _ in range(count_blocks(seconds, self._tool))])
+            return concatenate_signals(
+                [source.read_block() for _ in range(convert_seconds_to_blocks(seconds, self._tool))]
+            )
 
     def read_closed_jaws(self) -> list[LoadingPass]:
         """Read empty, shut jaws under a force that rises and falls in turn.

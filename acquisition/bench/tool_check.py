@@ -13,7 +13,7 @@ from acquisition.bench.checks import CheckOutcome, CheckResult
 from acquisition.bench.jaw_motion import (
     EmptyJaws,
     concatenate_signals,
-    count_blocks,
+    convert_seconds_to_blocks,
     read_settled,
     zero_on_process_death,
 )
@@ -85,7 +85,7 @@ class HardwareCheck:
     def _check_open_board(self, source: NidaqSource, may_move: Callable[[], bool]) -> Iterator[CheckResult]:
         tool, failed = self._tool, []
         with self._reading_context:
-            blocks = [source.read_block() for _ in range(count_blocks(REST_S, tool))]
+            blocks = [source.read_block() for _ in range(convert_seconds_to_blocks(REST_S, tool))]
         ticks = np.array([block.first_tick + len(block) for block in blocks])
         rest = concatenate_signals(blocks)
         for finding in (
@@ -142,7 +142,7 @@ class HardwareCheck:
         """Return the samples from the write of a zero command to its first read-back."""
         written = source.write_command(0.0)
         seen_tick = written.earliest_tick
-        for _ in range(count_blocks(0.5, self._tool)):
+        for _ in range(convert_seconds_to_blocks(0.5, self._tool)):
             block = jaws.read_block()
             low = np.flatnonzero(block.motor_command_v < LEVELS_V[-1] / 2)
             seen_tick = block.first_tick + (int(low[0]) if len(low) else len(block))

@@ -42,7 +42,7 @@ class VirtualClock:
 
 
 class Plant(Protocol):
-    """Hardware wired to the board."""
+    """Simulated hardware at the simulated board: motor, sensors, and what the jaws hold."""
 
     def step(self, command_v: float) -> tuple[float, float, float, float]:
         """Simulate a sample period under a command, V; return strain V, encoder degrees, touch 1 V, touch 2 V."""

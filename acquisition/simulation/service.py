@@ -196,7 +196,7 @@ class _Metadatum(NamedTuple):
     value: str
 
 
-class InProcessError(grpc.RpcError):
+class InProcessGrpcError(grpc.RpcError):
     """The in-process counterpart of a socket's `grpc.RpcError`: status, text and trailing metadata."""
 
     def __init__(self, status: grpc.StatusCode, text: str, metadata: tuple[_Metadatum, ...] = ()) -> None:
@@ -222,7 +222,7 @@ class _InProcessContext:
         self._metadata = tuple(_Metadatum(*pair) for pair in metadata)
 
     def abort(self, status: grpc.StatusCode, text: str) -> NoReturn:
-        raise InProcessError(status, text, self._metadata)
+        raise InProcessGrpcError(status, text, self._metadata)
 
 
 class InProcessGrpcChannel(grpc.Channel):
@@ -238,7 +238,7 @@ class InProcessGrpcChannel(grpc.Channel):
 
         def invoke(request: Any, timeout: float | None = None, metadata: Any = None) -> Any:
             if call is None:
-                raise InProcessError(grpc.StatusCode.UNIMPLEMENTED, f"The simulated board does not know {name}.")
+                raise InProcessGrpcError(grpc.StatusCode.UNIMPLEMENTED, f"The simulated board does not know {name}.")
             return call(request, _InProcessContext())
 
         return invoke

@@ -182,7 +182,7 @@ class CalibrationSession:
     async def _set_simulated_load(self, pull_n: float, gauge_m: float | None) -> None:
         """Load the simulated tool as a person loads a real one: a pull on the handle, or a gauge block in the jaws."""
         if self._plan.tool.kind is ToolKind.SIMULATED:
-            await self._tool_service.set_simulated_load(bus.SimulatedLoadCommand(pull_n, gauge_m))
+            await self._tool_service.set_simulated_pull_and_gauge(bus.SimulatedPullAndGaugeCommand(pull_n, gauge_m))
 
     async def _finish(self, request: CalibrationRequest, by: str | None) -> None:
         """Fit in a thread, as the first fit loads slow modules, then write the tool file; a failure sets `problem`."""

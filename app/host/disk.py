@@ -1,4 +1,4 @@
-"""Free disk space."""
+"""How much disk space is free."""
 
 import shutil
 from pathlib import Path

@@ -127,7 +127,7 @@ def select_alarms(query: AlarmQuery) -> Select[tuple[AlarmRow]]:
     return _order_by(statement, query.order, AlarmRow.began_ms, AlarmRow.key)
 
 
-def select_audit_entries(query: AuditQuery) -> Select[tuple[AuditRow]]:
+def select_journal_lines(query: AuditQuery) -> Select[tuple[AuditRow]]:
     statement = select(AuditRow).where(
         *_match_equal((AuditRow.kind, query.kind), (AuditRow.by, query.by)),
         *_match_time_range(AuditRow.at_ms, query),

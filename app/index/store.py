@@ -127,7 +127,7 @@ class Store:
         return Page([Alarm.model_validate(row.message) for row in rows], total)
 
     def find_audit_entries(self, query: AuditQuery) -> Page[JournalEntry]:
-        rows, total = self._fetch_page(queries.select_audit_entries(query), query)
+        rows, total = self._fetch_page(queries.select_journal_lines(query), query)
         return Page([JournalEntry.model_validate(row.message) for row in rows], total)
 
     def list_chain_positions(self) -> list[queries.ChainPosition]:

@@ -26,7 +26,7 @@ def collect_route_permissions(routers: Iterable[APIRouter]) -> RoutePermissions:
         assert isinstance(route, APIRoute | APIWebSocketRoute)
         said = [each.dependency.role for each in route.dependencies if isinstance(each.dependency, RoleRequirement)]
         if len(said) != 1:
-            raise RuntimeError(f"{route.path} does not say who may: add `dependencies=[needs(Role....)]` to it.")
+            raise RuntimeError(f"{route.path} does not say who may: add `dependencies=[require_role(Role....)]` to it.")
         for method in getattr(route, "methods", {"WEBSOCKET"}):
             declared[method, route.path] = said[0]
     return declared

@@ -243,7 +243,7 @@ class ToolService:
         self.publish_state()
         return self.runs.get(run.id) or run
 
-    async def set_simulated_load(self, load: bus.SimulatedLoadCommand) -> None:
+    async def set_simulated_pull_and_gauge(self, load: bus.SimulatedPullAndGaugeCommand) -> None:
         """Set the pull on a simulated tool's handle and the gauge between its jaws.
 
         Raises:

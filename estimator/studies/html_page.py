@@ -26,7 +26,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Markup:
+class TrustedHtml:
     """Trusted HTML for a cell of a table."""
 
     text: str
@@ -35,7 +35,7 @@ class Markup:
         return self.text
 
 
-TEXT_TYPES, TEXT_CLASS_ATTRIBUTE = (str, Markup), ' class="words"'
+TEXT_TYPES, TEXT_CLASS_ATTRIBUTE = (str, TrustedHtml), ' class="words"'
 
 STYLE = """
 :root { color-scheme: light dark; --page: #ffffff; --text: #1b1f24; --dim: #57606a; --edge: #d0d7de; --grid: #e4e8ec;
@@ -127,7 +127,7 @@ def _render_data_cell(value: Any) -> str:
 
 def render_cell(value: Any) -> str:
     """Render a cell's content as HTML."""
-    return value.text if isinstance(value, Markup) else html.escape(format_value(value))
+    return value.text if isinstance(value, TrustedHtml) else html.escape(format_value(value))
 
 
 def format_value(value: Any) -> str:

@@ -27,7 +27,7 @@ from estimator.studies.answer_course import (
     load_study_setup,
 )
 from estimator.studies.case_runner import Progress, run_cases
-from estimator.studies.map_estimate import PosteriorProblem, compute_cramer_rao_bound
+from estimator.studies.posterior_mode import PosteriorProblem, compute_cramer_rao_bound
 from estimator.studies.probability_scores import (
     bayes_limit,
     compute_confusion_matrix,

@@ -12,7 +12,6 @@ from estimator.baselines.paper_filter import X as PRINTED_X
 from estimator.filter_bank import FilterBank, TissuePriors
 from estimator.kalman_filter import LOG_DAMPING, PARAMETERS, PARAMETERS_AND_MASS, V, X
 from estimator.studies.case_runner import Progress, run_cases
-from estimator.studies.map_estimate import compute_cramer_rao_bound, log_evidence, maximize_posterior
 from estimator.studies.paper_simulation import (
     GUESS_LOG_SD,
     RATE_HZ,
@@ -27,6 +26,7 @@ from estimator.studies.paper_simulation import (
     simulate_sine,
 )
 from estimator.studies.paper_tables import TABLE_3, TABLE_4_N, TABLE_4_S, TABLE_5_S
+from estimator.studies.posterior_mode import compute_cramer_rao_bound, log_evidence, maximize_posterior
 from estimator.studies.study_report import TISSUE_COLORS, KeyFigure, StudyResult, Table
 from estimator.tissue_model import force_curve
 

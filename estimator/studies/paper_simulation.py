@@ -13,7 +13,7 @@ from estimator.compilation import compiled
 from estimator.criteria import convergence_samples
 from estimator.filter_bank import ContactStart, FilterBank, FilterTuning, TissuePriors
 from estimator.kalman_filter import PARAMETERS, PARAMETERS_AND_MASS, STATE_COUNT, FilterNoise
-from estimator.studies.map_estimate import PosteriorProblem
+from estimator.studies.posterior_mode import PosteriorProblem
 from estimator.tissue_model import elastic_force, step_matrices, tangent_stiffness
 
 RATE_HZ = 1000.0

@@ -10,8 +10,8 @@ import plotly.graph_objects as go
 import plotly.io
 
 from estimator.studies.html_page import (
-    Markup,
     Table,
+    TrustedHtml,
     format_value,
     render_page,
     render_paragraphs,
@@ -62,7 +62,7 @@ class KeyFigure:
 
 @dataclass(slots=True)
 class StudyResult:
-    """A study's result, in reading order."""
+    """A study's result; its fields stand in the order in which the page shows them."""
 
     name: str
     title: str
@@ -112,7 +112,7 @@ class StudyResult:
 def _render_figures_table(figures: list[KeyFigure]) -> str:
     words = {True: "reached", False: '<span class="missed">not reached</span>', None: ""}
     content = [
-        [f.name, f"{format_value(f.value)} {f.unit}".rstrip(), f.floor, Markup(words[f.reached]), f.note]
+        [f.name, f"{format_value(f.value)} {f.unit}".rstrip(), f.floor, TrustedHtml(words[f.reached]), f.note]
         for f in figures
     ]
     columns = ["Figure", "Measured", "To reach", "Reached?", "Note"]

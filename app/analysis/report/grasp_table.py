@@ -9,7 +9,7 @@ from app.analysis.report.statistics import Observation
 from app.analysis.report.tissue_styles import TissueStyle
 from estimator.decision import UNDECIDED
 from estimator.estimate_block import GraspRecord
-from estimator.studies.html_page import TEXT_CLASS_ATTRIBUTE, Markup, render_rows
+from estimator.studies.html_page import TEXT_CLASS_ATTRIBUTE, TrustedHtml, render_rows
 
 COLUMNS = [
     "grasp",
@@ -44,7 +44,7 @@ def render_grasp_table(report: Report, drawn_count: int) -> str:
             name = (
                 f'<button type="button" {button}>{record.index}</button>' if number < drawn_count else str(record.index)
             )
-            lines.append([Markup(name), *_render_cells(report, analyzed, record, observation, most_n)])
+            lines.append([TrustedHtml(name), *_render_cells(report, analyzed, record, observation, most_n)])
             number += 1
         if len(report.recordings) > 1:
             title = html.escape(analyzed.title)
@@ -69,7 +69,7 @@ def _render_cells(
     drawn = render_sparkline(traces["tick"], traces["jaw_force_filtered_n"], traces["limit_n"], max_force_n)
     decided, moved = record.time_to_decision_s, record.peak_displacement_m
     return [
-        Markup(drawn),
+        TrustedHtml(drawn),
         f"{record.start_s:.3f}",
         _render_verdict(report.tissue_styles[record.label]),
         _format_percent(record.probability),
@@ -87,9 +87,9 @@ def _render_cells(
     ]
 
 
-def _render_verdict(tissue_style: TissueStyle) -> Markup:
+def _render_verdict(tissue_style: TissueStyle) -> TrustedHtml:
     style = f"background: {tissue_style.color}; color: {tissue_style.text_color}"
-    return Markup(
+    return TrustedHtml(
         f'<span class="mark" style="{style}">{tissue_style.abbreviation}</span> {html.escape(tissue_style.title)}'
     )
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.studies.html_page import Markup, Table, format_value, render_page, render_table, to_json_value
+from estimator.studies.html_page import Table, TrustedHtml, format_value, render_page, render_table, to_json_value
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ def test_a_value_is_told_with_three_digits_or_those_before_the_point(value, told
 
 def test_words_are_escaped_and_stand_to_the_left_below_their_heading():
     told = render_table(
-        Table("<A & B>", ["what <", "n", "how"], [["<i>", 1.0, None], ["b", 2.0, Markup("<b>bold</b>")]])
+        Table("<A & B>", ["what <", "n", "how"], [["<i>", 1.0, None], ["b", 2.0, TrustedHtml("<b>bold</b>")]])
     )
     assert "<h2>&lt;A &amp; B&gt;</h2>" in told
     assert '<th scope="row">&lt;i&gt;</th><td>1</td><td>–</td>' in told

@@ -27,7 +27,7 @@ def unreachable(url: httpx.URL, error: Exception) -> UnreachableError:
     return UnreachableError(f"Nobody answers at {str(url).rstrip('/')} ({why}): is it running there?")
 
 
-class Asking:
+class RestClient:
     """REST client. Every method may raise `UnreachableError` and `RefusedError`."""
 
     def __init__(self, http: httpx.AsyncClient) -> None:

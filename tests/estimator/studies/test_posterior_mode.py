@@ -6,7 +6,6 @@ from scipy.optimize import minimize
 
 from config.load import load_library
 from estimator.filter_bank import TissuePriors
-from estimator.studies.map_estimate import PosteriorProblem, compute_cramer_rao_bound, maximize_posterior
 from estimator.studies.paper_simulation import (
     GUESS_LOG_SD,
     TwoSignalProblem,
@@ -16,6 +15,7 @@ from estimator.studies.paper_simulation import (
     draw_guesses,
     simulate_sine,
 )
+from estimator.studies.posterior_mode import PosteriorProblem, compute_cramer_rao_bound, maximize_posterior
 
 LIBRARY = load_library("paper_table2")
 SHORT = 600  # samples: the first, slow cycle

@@ -1,4 +1,4 @@
-"""The live stream: messages and frames of `/api/live`, in order."""
+"""The Python client's side of the live stream: messages and frames of `/api/live`, in order."""
 
 import contextlib
 import ssl
@@ -11,9 +11,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 
 from app.messages.wire import SCHEMA_VERSION, FrameReceived, Hello, ServerMessage
 from config.network import is_this_computer
-from graspwatch.asking import refused, unreachable
 from graspwatch.errors import ConnectionLostError
 from graspwatch.frames import Frame
+from graspwatch.rest_client import refused, unreachable
 
 MESSAGE: TypeAdapter[ServerMessage] = TypeAdapter(ServerMessage)
 
