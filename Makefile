@@ -21,6 +21,7 @@ test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/lint-imports
+	$(NPM) run lint --prefix frontend --silent
 	$(NPM) test --prefix frontend --silent
 	@# compiled once here, not by each test that starts the program
 	$(BIN)/python -m compileall -q app acquisition estimator config graspwatch

@@ -1,7 +1,10 @@
-export function byId<Kind extends HTMLElement = HTMLElement>(id: string): Kind {
+/** Returns the element with this id. Throws where there is none, or one of another kind. */
+export function byId(id: string): HTMLElement;
+export function byId<Kind extends Element>(id: string, kind: new () => Kind): Kind;
+export function byId(id: string, kind: new () => Element = HTMLElement): Element {
   const element = document.getElementById(id);
-  if (!element) throw new Error(`index.html has no #${id}`);
-  return element as Kind;
+  if (!(element instanceof kind)) throw new Error(`the page has no ${kind.name} #${id}`);
+  return element;
 }
 
 export function create<Tag extends keyof HTMLElementTagNameMap>(

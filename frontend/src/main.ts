@@ -33,7 +33,7 @@ const ROUTES: Route[] = [
     name: "live",
     title: "Live",
     matches: (path) => path === "/",
-    load: async () => (box) => (live = new WatchPage(box, model, person)),
+    load: () => Promise.resolve((box) => (live = new WatchPage(box, model, person))),
   },
   {
     name: "recordings",

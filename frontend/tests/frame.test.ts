@@ -8,7 +8,7 @@ function encoded(columns: number[][], kind: number = FRAME.kinds.live): ArrayBuf
   const rows = columns[0]?.length ?? 0;
   const buffer = new ArrayBuffer(FRAME.header_bytes + columns.length * rows * 4);
   const view = new DataView(buffer);
-  [...FRAME.magic].forEach((char, i) => view.setUint8(FRAME.offsets.magic + i, char.charCodeAt(0)));
+  Array.from(FRAME.magic).forEach((char, i) => view.setUint8(FRAME.offsets.magic + i, char.charCodeAt(0)));
   view.setUint8(FRAME.offsets.kind, kind);
   view.setUint16(FRAME.offsets.columns, columns.length, true);
   view.setUint32(FRAME.offsets.rows, rows, true);

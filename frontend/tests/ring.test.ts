@@ -75,7 +75,7 @@ describe("SampleRing", () => {
         if (n > 0 && integer(0, 1) === 1) next += integer(0, capacity - 1); // a gap as long as the ring would empty it
         const values = Array.from({ length: integer(1, 30) }, () => integer(-1000, 1000));
         ring.write(frame(next, [values]));
-        values.forEach((value, i) => all.set(next + i, value));
+        for (const [i, value] of values.entries()) all.set(next + i, value);
         next += values.length;
         assert.equal(ring.end, next);
         assert.ok(ring.end - ring.start <= capacity);

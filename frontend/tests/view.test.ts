@@ -11,7 +11,7 @@ const LIVE_TICKS = LIVE_SPAN_S * RATE_HZ;
 /** A view of a ring that holds the ticks 0 to 999. */
 function viewed(): { view: View; ring: SampleRing; goOn: () => void } {
   const ring = new SampleRing(1, 1000);
-  ring.write(frame(0, [new Array<number>(1000).fill(1)]));
+  ring.write(frame(0, [Array.from({ length: 1000 }, () => 1)]));
   return { view: new View(ring, RATE_HZ), ring, goOn: () => ring.write(frame(ring.end, [[1, 1, 1, 1, 1]])) };
 }
 

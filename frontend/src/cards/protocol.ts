@@ -30,11 +30,11 @@ const ARMED: Safety[] = ["testing", "armed", "running", "holding back", "let go"
 
 /** Choosing a motion, seeing it before it runs, and starting it. */
 export class ProtocolPanel {
-  private readonly protocol = byId<HTMLSelectElement>("protocol");
-  private readonly tissue = byId<HTMLSelectElement>("tissue-select");
-  private readonly cycles = byId<HTMLInputElement>("cycles");
-  private readonly start = byId<HTMLButtonElement>("start");
-  private readonly armButton = byId<HTMLButtonElement>("arm");
+  private readonly protocol = byId("protocol", HTMLSelectElement);
+  private readonly tissue = byId("tissue-select", HTMLSelectElement);
+  private readonly cycles = byId("cycles", HTMLInputElement);
+  private readonly start = byId("start", HTMLButtonElement);
+  private readonly armButton = byId("arm", HTMLButtonElement);
   private readonly message = byId("run-message");
   private readonly control: ControlLine;
   private protocols: ProtocolInfo[] = [];
@@ -84,7 +84,7 @@ export class ProtocolPanel {
   }
 
   submitByKey(): void {
-    byId<HTMLFormElement>("run-form").requestSubmit();
+    byId("run-form", HTMLFormElement).requestSubmit();
   }
 
   /** What was said about starting no longer matters. */
@@ -108,7 +108,7 @@ export class ProtocolPanel {
     }
   }
 
-  private isArmed = (state: State | null): boolean => state !== null && ARMED.includes(state.safety);
+  private readonly isArmed = (state: State | null): boolean => state !== null && ARMED.includes(state.safety);
 
   private async armOrDisarm(): Promise<void> {
     const armed = this.isArmed(this.model.state);
@@ -165,7 +165,7 @@ export class ProtocolPanel {
     return `Last run ${this.titleOf(run)} ${run.state} after ${count(run.grasps, "grasp")}${why}`;
   }
 
-  private titleOf = (run: Run): string => this.protocols.find(({ name }) => name === run.protocol)?.title ?? run.protocol;
+  private readonly titleOf = (run: Run): string => this.protocols.find(({ name }) => name === run.protocol)?.title ?? run.protocol;
 
   private say(text: string, outcome: "pending" | "done" | "failed"): void {
     setText(this.message, text);

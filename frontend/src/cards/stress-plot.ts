@@ -113,7 +113,7 @@ function markTissues(context: CanvasRenderingContext2D, frame: Frame, tissues: T
     end: frame.x(compression(tissue, frame.mostN) / scale(tissue, frame.axis)),
   }));
   let free = frame.left;
-  for (const { look, end } of ends.sort((a, b) => a.end - b.end)) {
+  for (const { look, end } of ends.toSorted((a, b) => a.end - b.end)) {
     if (look) free = drawMark(context, frame, look, Math.max(end, free));
   }
 }

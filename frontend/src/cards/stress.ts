@@ -13,9 +13,9 @@ const MOST_POINTS = 600;
 
 /** The live curve of stress over compression on top of the library's tissues. */
 export class StressCard {
-  private readonly canvas = byId<HTMLCanvasElement>("stress-plot");
+  private readonly canvas = byId("stress-plot", HTMLCanvasElement);
   private readonly background = document.createElement("canvas");
-  private readonly sizes = new ResizeObserver(() => (this.frame = null));
+  private readonly sizes = new ResizeObserver(() => this.rebuild());
   private frame: Frame | null = null;
   private axis: Axis = "strain";
   private points: { forceN: number; compressionM: number }[] = [];
@@ -147,7 +147,7 @@ export class StressCard {
     const { identification, tissues } = this.model;
     const [likeliest] = Object.entries(identification?.probabilities ?? {})
       .filter(([name]) => tissues.some((tissue) => tissue.name === name))
-      .sort(([, a], [, b]) => b - a);
+      .toSorted(([, a], [, b]) => b - a);
     return tissues.find(({ name }) => name === likeliest?.[0]) ?? tissues[0];
   }
 

@@ -76,13 +76,13 @@ export class TissueCard {
 
   private undecidedFacts(held: Identification): string {
     const notSure = held.in_grasp ? "not sure enough to name it" : "never sure enough to name it";
-    const [likeliest] = Object.entries(held.probabilities).sort(([, a], [, b]) => b - a);
+    const [likeliest] = Object.entries(held.probabilities).toSorted(([, a], [, b]) => b - a);
     return likeliest ? `${notSure} · likeliest ${this.model.titleOf(likeliest[0])}, ${percent(likeliest[1])}` : notSure;
   }
 
-  private slotOf = (label: string): string => this.lookOf(label)?.slot ?? UNKNOWN_SLOT;
-  private markOf = (label: string): string => this.lookOf(label)?.mark ?? "?";
-  private lookOf = (label: string): Look | undefined => this.bars.find((bar) => bar.look.name === label)?.look;
+  private readonly slotOf = (label: string): string => this.lookOf(label)?.slot ?? UNKNOWN_SLOT;
+  private readonly markOf = (label: string): string => this.lookOf(label)?.mark ?? "?";
+  private readonly lookOf = (label: string): Look | undefined => this.bars.find((bar) => bar.look.name === label)?.look;
 
   private buildBars(hello: Hello): void {
     this.barsFor = hello.library.tissues;

@@ -17,7 +17,7 @@ export function drawWaveform(protocol: ProtocolInfo): void {
   const line = document.createElementNS(SVG, "polyline");
   line.setAttribute("points", points.join(" "));
   line.setAttribute("vector-effect", "non-scaling-stroke");
-  const svg = byId("waveform");
+  const svg = byId("waveform", SVGSVGElement);
   svg.replaceChildren(line);
   const facts = `up to ${fixed(protocol.peak_command_v, 1, "V")}, ${fixed(protocol.cycle_s, 2, "s")} each`;
   setAttribute(svg, "aria-label", `Motor command over one cycle, ${facts}`);

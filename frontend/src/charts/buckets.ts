@@ -27,8 +27,8 @@ export class Buckets {
     private readonly bucketTicks: number,
     private readonly bucketCount: number,
   ) {
-    this.time = new Array<number>(2 * bucketCount).fill(0);
-    for (const column of columns) this.points.set(column, new Array<Point>(2 * bucketCount).fill(null));
+    this.time = Array.from({ length: 2 * bucketCount }, () => 0);
+    for (const column of columns) this.points.set(column, Array.from({ length: 2 * bucketCount }, () => null));
     const most = Math.max(0, ...columns) + 1;
     this.min = new Float64Array(most);
     this.max = new Float64Array(most);

@@ -18,7 +18,7 @@ export function drawEndMarks(chart: uPlot, traces: Trace[], colours: MarkColours
   const marks = traces
     .map((trace, i) => ({ text: trace.mark, colours: colours[i], y: heightOfNewest(chart, i + 1) }))
     .filter(({ text, y }) => text !== "" && y >= top && y <= top + height)
-    .sort((a, b) => a.y - b.y);
+    .toSorted((a, b) => a.y - b.y);
   spread(marks, LINE_PX * ratio, top, top + height);
   const context = chart.ctx;
   context.save();

@@ -62,6 +62,7 @@ export function verticalScale(chart: string, hello: Hello, which: Parameter): Ve
 
 /** The scale as uPlot takes it. */
 export const asScale = (scale: VerticalScale): uPlot.Scale => ({
+  // oxlint-disable-next-line typescript/no-unsafe-enum-assignment -- uPlot's enum exists in its types only
   distr: scale.logarithmic ? 3 : 1,
   range: (_chart, min, max) => scale.range(min, max),
 });

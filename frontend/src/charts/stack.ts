@@ -4,6 +4,7 @@ import { byId, setAttribute, setData, setHidden, setText } from "../dom";
 import { NO_VALUE, fixed } from "../format";
 import type { Model } from "../live/model";
 import type { SampleRing } from "../live/ring";
+import type { Hello } from "../wire";
 import { Buckets } from "./buckets";
 import { Legend } from "./legend";
 import { Pace } from "./pace";
@@ -35,7 +36,7 @@ export class ChartStack {
     this.strips.forEach((strip) => strip.show(key, visible)),
   );
   private readonly pace = new Pace();
-  private readonly scrub = byId<HTMLInputElement>("scrub-position");
+  private readonly scrub = byId("scrub-position", HTMLInputElement);
 
   constructor(private readonly model: Model) {
     byId("pause").addEventListener("click", () => this.togglePause());
@@ -86,7 +87,7 @@ export class ChartStack {
     for (const strip of this.strips) strip.destroy();
     const specs = plotSpecs(this.model, this.parameter);
     this.legend.rebuild(specs);
-    this.strips = specs.map((spec) => this.strip(spec));
+    this.strips = specs.map((spec) => this.strip(spec, hello));
     this.bucketsAnew();
     setText(byId("parameter-unit"), PARAMETERS[this.parameter]);
   }
@@ -161,8 +162,8 @@ export class ChartStack {
     return [...byId("charts").querySelectorAll<HTMLButtonElement>("button[data-parameter]")];
   }
 
-  private strip(spec: PlotSpec): Strip {
-    const scale = verticalScale(spec.id, this.model.hello!, this.parameter);
+  private strip(spec: PlotSpec, hello: Hello): Strip {
+    const scale = verticalScale(spec.id, hello, this.parameter);
     const readout = byId(`readout-${spec.id}`);
     setText(readout, "");
     byId(`lines-${spec.id}`).replaceChildren(...this.legend.lines(spec));

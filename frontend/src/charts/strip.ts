@@ -51,7 +51,7 @@ export class Strip {
     this.chart.over.addEventListener("mousedown", () => {
       this.marked = null;
       options.onPress();
-      document.addEventListener("mouseup", () => setTimeout(() => options.onRelease(this.marked)), { once: true });
+      document.addEventListener("mouseup", () => void setTimeout(() => options.onRelease(this.marked)), { once: true });
     });
     this.sizes = new ResizeObserver(() => this.chart.setSize(this.size()));
     this.sizes.observe(box);
@@ -124,7 +124,7 @@ export class Strip {
         })),
       ],
       hooks: {
-        drawAxes: [(chart) => this.buckets && drawBands(chart, spec.traces, colours, this.buckets)],
+        drawAxes: [(chart) => void (this.buckets && drawBands(chart, spec.traces, colours, this.buckets))],
         draw: [(chart) => drawEndMarks(chart, spec.traces, marks)],
         setCursor: [onCursor],
         setSelect: [

@@ -10,7 +10,7 @@ export interface Frame {
   columns: Float32Array[];
 }
 
-const MAGIC = [...FRAME.magic].map((char) => char.charCodeAt(0));
+const MAGIC = Array.from(FRAME.magic, (char) => char.charCodeAt(0));
 
 /** Reads one binary frame without copying its samples. Throws when it is not one. */
 export function decodeFrame(buffer: ArrayBuffer): Frame {

@@ -21,7 +21,7 @@ export class BinSection {
     private readonly told: (text: string | null) => void,
   ) {
     this.rows = new Rows(byId("bin-body"), ({ entry }) => entry, (recording) => this.makeRow(recording));
-    const empty = byId<HTMLButtonElement>("bin-empty");
+    const empty = byId("bin-empty", HTMLButtonElement);
     byId("bin-confirm").append(askFirst(empty, "Remove all of these for good?", "Remove for good", () => this.empty()));
     this.polled = new Polled({ path: "/api/bin", what: "The bin", section: byId("bin"), take: (content) => this.take(content) });
   }

@@ -55,10 +55,10 @@ export class CalibrationPage implements Page {
   ) {
     fill(box, markup);
     showHints(box);
-    this.what = byId<HTMLSelectElement>("calibrate-what");
-    this.values = byId<HTMLInputElement>("calibrate-values");
-    this.take = byId<HTMLButtonElement>("reading-take");
-    byId<HTMLInputElement>("calibrate-person").value = this.person.name ?? "";
+    this.what = byId("calibrate-what", HTMLSelectElement);
+    this.values = byId("calibrate-values", HTMLInputElement);
+    this.take = byId("reading-take", HTMLButtonElement);
+    byId("calibrate-person", HTMLInputElement).value = this.person.name ?? "";
     this.what.addEventListener("change", () => this.describe());
     this.describe();
     byId("calibrate-form").addEventListener("submit", (event) => {
@@ -92,8 +92,8 @@ export class CalibrationPage implements Page {
       this.say("Not begun: write numbers with commas between.", "failed");
       return;
     }
-    const person = byId<HTMLInputElement>("calibrate-person").value.trim();
-    const days = Number(byId<HTMLInputElement>("calibrate-days").value);
+    const person = byId("calibrate-person", HTMLInputElement).value.trim();
+    const days = Number(byId("calibrate-days", HTMLInputElement).value);
     const request: CalibrationRequest = { what, values: numbers, person: person || null, valid_days: days };
     try {
       this.show(await postJson<Calibration>(PATH, request));
@@ -178,7 +178,7 @@ function showResult({ constants, remarks, file, ...points }: CalibrationResult):
   );
   setText(byId("fit-remarks"), remarks.join(" "));
   setText(byId("fit-file"), file);
-  plot(byId("fit-plot") as unknown as SVGElement, points);
+  plot(byId("fit-plot", SVGSVGElement), points);
 }
 
 const digits = (value: number): string => Number(value.toPrecision(DIGITS)).toString();

@@ -35,7 +35,8 @@ function tableOf(entries: [string, unknown][]): HTMLTableElement {
 
 function inWords(value: unknown): string {
   if (value === null) return "not set";
-  return Array.isArray(value) ? value.map(inWords).join(", ") : String(value);
+  if (Array.isArray(value)) return value.map(inWords).join(", ");
+  return typeof value === "string" ? value : JSON.stringify(value);
 }
 
 const isTable = (value: unknown): value is Values => typeof value === "object" && value !== null && !Array.isArray(value);

@@ -36,7 +36,7 @@ export class RecordingsPage implements Page {
   ) {
     fill(box, markup);
     showHints(box);
-    this.filter = byId<HTMLInputElement>("recordings-filter");
+    this.filter = byId("recordings-filter", HTMLInputElement);
     this.filter.addEventListener("input", () => this.show());
     for (const button of this.sortButtons()) button.addEventListener("click", () => this.sortBy(button.dataset.column as Column));
     this.rows = new Rows(byId("recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.tell(text))));
@@ -74,7 +74,7 @@ export class RecordingsPage implements Page {
   private show(): void {
     const words = this.filter.value.toLowerCase().split(/\s+/);
     const found = this.recordings.filter(({ name }) => words.every((word) => name.toLowerCase().includes(word)));
-    this.rows.show(found.sort((a, b) => compare(a, b, this.column, this.descending)));
+    this.rows.show(found.toSorted((a, b) => compare(a, b, this.column, this.descending)));
     const [none, all] = [this.recordings.length === 0, this.recordings.length];
     setText(byId("recordings-count"), found.length === all ? `${all} of ${all}` : `${found.length} of ${all}`);
     setText(byId("recordings-no-match"), `No name contains “${this.filter.value.trim()}”.`);

@@ -13,8 +13,8 @@ const LEAD_S = 0.3;
 /** Play, pause, seek and speed of a recording, and what was an alarm in it. */
 export class ReplayBar {
   readonly keys: KeyAction[];
-  private readonly position = byId<HTMLInputElement>("replay-position");
-  private readonly speed = byId<HTMLSelectElement>("replay-speed");
+  private readonly position = byId("replay-position", HTMLInputElement);
+  private readonly speed = byId("replay-speed", HTMLSelectElement);
   private told = "";
   private dragging = false;
   private seeking = false;
@@ -60,8 +60,8 @@ export class ReplayBar {
   render(): void {
     const { replay, connected } = this.model;
     const ready = replay !== null && replay.prepared >= 1;
-    for (const id of ["replay-play", "replay-previous", "replay-next", "replay-position", "replay-speed"]) {
-      const control = byId<HTMLButtonElement>(id);
+    const buttons = ["replay-play", "replay-previous", "replay-next"].map((id) => byId(id, HTMLButtonElement));
+    for (const control of [...buttons, this.position, this.speed]) {
       if (control.disabled === ready) control.disabled = !ready;
     }
     setText(byId("replay-note"), this.note(connected, ready));

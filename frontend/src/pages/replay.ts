@@ -17,7 +17,7 @@ export class ReplayPage implements Page {
   constructor(box: HTMLElement, name: string, person: Person, schedule: () => void) {
     this.watch = new WatchPage(box, this.model, person);
     this.connection = new Connection(`/api/recordings/${encodeURIComponent(name)}/replay`, {
-      onConnected: (connected) => (this.model.connected = connected),
+      onConnected: (connected) => void (this.model.connected = connected),
       onMessage: (message, arrivedMs) => {
         this.model.take(message, arrivedMs);
         schedule();

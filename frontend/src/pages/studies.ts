@@ -36,10 +36,10 @@ export class StudiesPage implements Page {
     fill(box, markup);
     keepListsInThePage(box);
     showHints(box);
-    this.choice = byId<HTMLSelectElement>("study-choice");
-    this.grasps = byId<HTMLInputElement>("study-grasps");
-    this.seed = byId<HTMLInputElement>("study-seed");
-    this.start = byId<HTMLButtonElement>("study-start");
+    this.choice = byId("study-choice", HTMLSelectElement);
+    this.grasps = byId("study-grasps", HTMLInputElement);
+    this.seed = byId("study-seed", HTMLInputElement);
+    this.start = byId("study-start", HTMLButtonElement);
     this.message = byId("study-message");
     this.choice.addEventListener("change", () => this.describe());
     byId("study-form").addEventListener("submit", (event) => {
@@ -80,7 +80,7 @@ export class StudiesPage implements Page {
   private list(available: StudyInfo[]): void {
     this.available = available;
     const chosen = this.choice.value;
-    for (const old of [...this.choice.options]) old.remove();
+    this.choice.options.length = 0;
     this.choice.append(...available.map(option));
     if (available.some(({ name }) => name === chosen)) this.choice.value = chosen;
     this.choice.disabled = this.start.disabled = available.length === 0;

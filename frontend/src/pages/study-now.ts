@@ -6,8 +6,8 @@ import type { StopRequest, StudyRun } from "../wire";
 
 /** The study under way: how far it is, how long it may still take, and its Stop. */
 export class StudyNow {
-  private readonly stop = byId<HTMLButtonElement>("study-stop");
-  private readonly progress = byId<HTMLProgressElement>("study-progress");
+  private readonly stop = byId("study-stop", HTMLButtonElement);
+  private readonly progress = byId("study-progress", HTMLProgressElement);
   private readonly message = byId("study-stop-message");
   private run: StudyRun | null = null;
 

@@ -26,7 +26,7 @@ export class TissuesPage implements Page {
   constructor(private readonly box: HTMLElement) {
     fill(box, markup);
     showHints(box);
-    this.canvas = byId<HTMLCanvasElement>("library-plot");
+    this.canvas = byId("library-plot", HTMLCanvasElement);
     this.sizes.observe(this.canvas);
     for (const button of this.axisButtons()) button.addEventListener("click", () => this.choose(button.dataset.axis as Axis));
     const section = byId("library-plot-card");

@@ -9,7 +9,7 @@ export interface KeyAction {
 
 /** Escape stops, wherever the focus is; the other keys work outside of fields. */
 export class Keys {
-  private readonly dialog = byId<HTMLDialogElement>("keys");
+  private readonly dialog = byId("keys", HTMLDialogElement);
   private readonly help: KeyAction = { key: "?", shown: "?", does: "Show or hide these keys", run: () => this.toggle() };
 
   /** `ofPage` tells the keys of the page that is open. */

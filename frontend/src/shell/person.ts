@@ -6,8 +6,8 @@ const KEY = "graspwatch-person";
 
 /** Who sits at this page: who is signed in, or else asked once and kept in this browser; sent with what he does. */
 export class Person {
-  private readonly dialog = byId<HTMLDialogElement>("person-dialog");
-  private readonly field = byId<HTMLInputElement>("person-name");
+  private readonly dialog = byId("person-dialog", HTMLDialogElement);
+  private readonly field = byId("person-name", HTMLInputElement);
   private waiting: ((name: string) => void) | null = null;
 
   constructor(private readonly session: Session) {

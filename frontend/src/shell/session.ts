@@ -7,8 +7,8 @@ const RANK: Record<Role, number> = { viewer: 1, operator: 2, admin: 3 };
 /** Who the server says this browser is. Signing in and out loads the page anew: nothing of the one before stays. */
 export class Session {
   private info: SessionInfo | null = null;
-  private readonly dialog = byId<HTMLDialogElement>("sign-in");
-  private readonly token = byId<HTMLInputElement>("sign-in-token");
+  private readonly dialog = byId("sign-in", HTMLDialogElement);
+  private readonly token = byId("sign-in-token", HTMLInputElement);
 
   constructor() {
     byId("sign-in-form").addEventListener("submit", (event) => {
