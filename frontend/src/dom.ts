@@ -1,10 +1,17 @@
-/** Returns the element with this id. Throws where there is none, or one of another kind. */
+/** Returns the element with this id inside `root`. Throws where there is none, or one of another kind. */
+export function find(root: ParentNode, id: string): HTMLElement;
+export function find<Kind extends Element>(root: ParentNode, id: string, kind: new () => Kind): Kind;
+export function find(root: ParentNode, id: string, kind: new () => Element = HTMLElement): Element {
+  const element = root.querySelector(`#${id}`);
+  if (!(element instanceof kind)) throw new Error(`the page has no ${kind.name} #${id}`);
+  return element;
+}
+
+/** Returns an element of `index.html`, which is there on every page. */
 export function byId(id: string): HTMLElement;
 export function byId<Kind extends Element>(id: string, kind: new () => Kind): Kind;
 export function byId(id: string, kind: new () => Element = HTMLElement): Element {
-  const element = document.getElementById(id);
-  if (!(element instanceof kind)) throw new Error(`the page has no ${kind.name} #${id}`);
-  return element;
+  return find(document, id, kind);
 }
 
 export function create<Tag extends keyof HTMLElementTagNameMap>(
@@ -45,7 +52,10 @@ export function setProperty(element: HTMLElement, name: string, value: number): 
 /** The colour of a custom property in the theme that is on. */
 export const cssColour = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** Fills `box` with a page's markup, which comes with the program and never from data. */
-export function fill(box: HTMLElement, markup: string): void {
+/** Fills `box` with a page's markup and returns its root element. The markup comes with the program, never from data. */
+export function fill(box: HTMLElement, markup: string): HTMLElement {
   box.innerHTML = markup;
+  const root = box.firstElementChild;
+  if (!(root instanceof HTMLElement)) throw new Error("a page without an element");
+  return root;
 }

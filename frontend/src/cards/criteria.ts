@@ -1,4 +1,4 @@
-import { byId, create, setText } from "../dom";
+import { create, find, setText } from "../dom";
 import { NO_VALUE, newtons, shortTime } from "../format";
 import type { Model } from "../live/model";
 import { looksOf, UNKNOWN_SLOT } from "../tissues";
@@ -21,7 +21,10 @@ export class CriteriaTable {
   private rows: Row[] = [];
   private rowsFor: TissueInfo[] | null = null;
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {}
 
   render(): void {
     const { tissues, identification } = this.model;
@@ -47,6 +50,6 @@ export class CriteriaTable {
       return { line, row: { name, converged, error } };
     });
     this.rows = lines.map(({ row }) => row);
-    byId("criteria-body").replaceChildren(...lines.map(({ line }) => line));
+    find(this.root, "criteria-body").replaceChildren(...lines.map(({ line }) => line));
   }
 }

@@ -1,4 +1,4 @@
-import { byId, create, setHidden, setText } from "../dom";
+import { create, find, setHidden, setText } from "../dom";
 import { NO_VALUE, newtons, percent, shortTime, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import { looksOf, UNKNOWN_SLOT } from "../tissues";
@@ -8,22 +8,25 @@ import type { GraspEnded, Priority } from "../wire";
 export class GraspsTable {
   private shown: GraspEnded[] | null = null;
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {}
 
   render(): void {
     const { grasps } = this.model;
-    setHidden(byId("grasps"), grasps.length === 0);
-    setText(byId("grasps-empty"), this.note());
+    setHidden(find(this.root, "grasps"), grasps.length === 0);
+    setText(find(this.root, "grasps-empty"), this.note());
     this.renderLink();
     if (grasps === this.shown) return;
     this.shown = grasps;
-    byId("grasps-body").replaceChildren(...grasps.map((ended) => this.row(ended)));
+    find(this.root, "grasps-body").replaceChildren(...grasps.map((ended) => this.row(ended)));
   }
 
   /** Every figure of the run's grasps, as the program that asks for them gets them. */
   private renderLink(): void {
     const run = this.model.graspsOfRun;
-    const box = byId("grasps-links");
+    const box = find(this.root, "grasps-links");
     setHidden(box, run === null || this.model.grasps.length === 0);
     if (run === null || box.dataset.run === run) return;
     box.dataset.run = run;

@@ -1,4 +1,4 @@
-import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { count, inOneLine } from "../format";
 import { arm, disarm, getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
@@ -30,25 +30,32 @@ const ARMED: Safety[] = ["testing", "armed", "running", "holding back", "let go"
 
 /** Choosing a motion, seeing it before it runs, and starting it. */
 export class ProtocolPanel {
-  private readonly protocol = byId("protocol", HTMLSelectElement);
-  private readonly tissue = byId("tissue-select", HTMLSelectElement);
-  private readonly cycles = byId("cycles", HTMLInputElement);
-  private readonly start = byId("start", HTMLButtonElement);
-  private readonly armButton = byId("arm", HTMLButtonElement);
-  private readonly message = byId("run-message");
+  private readonly protocol: HTMLSelectElement;
+  private readonly tissue: HTMLSelectElement;
+  private readonly cycles: HTMLInputElement;
+  private readonly start: HTMLButtonElement;
+  private readonly armButton: HTMLButtonElement;
+  private readonly message: HTMLElement;
   private readonly control: ControlLine;
   private protocols: ProtocolInfo[] = [];
   private startedRun: string | null = null;
   private tissuesFor: Hello["holdable"] | null = null;
 
   constructor(
+    private readonly root: HTMLElement,
     private readonly model: Model,
     private readonly person: Person,
   ) {
-    this.control = new ControlLine(person, (failure) => this.say(failure, "failed"));
+    this.protocol = find(root, "protocol", HTMLSelectElement);
+    this.tissue = find(root, "tissue-select", HTMLSelectElement);
+    this.cycles = find(root, "cycles", HTMLInputElement);
+    this.start = find(root, "start", HTMLButtonElement);
+    this.armButton = find(root, "arm", HTMLButtonElement);
+    this.message = find(root, "run-message");
+    this.control = new ControlLine(root, person, (failure) => this.say(failure, "failed"));
     this.protocol.addEventListener("change", () => this.preview());
     this.armButton.addEventListener("click", () => void this.armOrDisarm());
-    byId("run-form").addEventListener("submit", (event) => {
+    find(root, "run-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.submit();
     });
@@ -59,7 +66,7 @@ export class ProtocolPanel {
     try {
       this.protocols = await getProtocols();
     } catch (error) {
-      if (this.protocols.length === 0) setText(byId("waveform-facts"), `No protocols: ${messageOf(error)}.`);
+      if (this.protocols.length === 0) setText(find(this.root, "waveform-facts"), `No protocols: ${messageOf(error)}.`);
       return;
     }
     const chosen = this.protocol.value;
@@ -72,19 +79,19 @@ export class ProtocolPanel {
   render(): void {
     const { hello, state } = this.model;
     if (hello && this.tissuesFor !== hello.holdable) this.listTissues(hello);
-    setHidden(byId("run-form"), this.model.hasNoTool);
+    setHidden(find(this.root, "run-form"), this.model.hasNoTool);
     this.control.render(state);
-    setText(byId("phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
-    setData(byId("phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
+    setText(find(this.root, "phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
+    setData(find(this.root, "phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
     setText(this.armButton, this.isArmed(state) ? "Disarm" : "Arm");
     this.armButton.disabled = this.start.disabled = state?.safety === "faulted";
-    setText(byId("run-now"), this.runInWords());
+    setText(find(this.root, "run-now"), this.runInWords());
     if (this.startedRun && state?.run === null && state.last_run?.id === this.startedRun) this.forget();
     if (hello && state) this.nameHeldTissue(state.simulated_tissue);
   }
 
   submitByKey(): void {
-    byId("run-form", HTMLFormElement).requestSubmit();
+    find(this.root, "run-form", HTMLFormElement).requestSubmit();
   }
 
   /** What was said about starting no longer matters. */
@@ -134,13 +141,13 @@ export class ProtocolPanel {
   private preview(): void {
     const protocol = this.protocols.find(({ name }) => name === this.protocol.value);
     if (!protocol) return;
-    drawWaveform(protocol);
+    drawWaveform(this.root, protocol);
     this.cycles.value = String(protocol.cycles);
   }
 
   private listTissues(hello: Hello): void {
     this.tissuesFor = hello.holdable;
-    setHidden(byId("tissue-choice"), hello.holdable.length === 0);
+    setHidden(find(this.root, "tissue-choice"), hello.holdable.length === 0);
     const chosen = this.tissue.value;
     const options = hello.holdable.map(({ name, title, in_library: known }) => option(name, known ? title : `${title} (not in the library)`));
     this.tissue.replaceChildren(option("", "As before"), ...options);

@@ -1,4 +1,4 @@
-import { byId, setAttribute } from "../dom";
+import { find, setAttribute } from "../dom";
 import type { Model } from "../live/model";
 import type { SampleRing } from "../live/ring";
 import type { TissueInfo } from "../wire";
@@ -13,7 +13,7 @@ const MOST_POINTS = 600;
 
 /** The live curve of stress over compression on top of the library's tissues. */
 export class StressCard {
-  private readonly canvas = byId("stress-plot", HTMLCanvasElement);
+  private readonly canvas: HTMLCanvasElement;
   private readonly background = document.createElement("canvas");
   private readonly sizes = new ResizeObserver(() => this.rebuild());
   private frame: Frame | null = null;
@@ -25,7 +25,11 @@ export class StressCard {
   private grasp = -1;
   private drawnAt = -Infinity;
 
-  constructor(private readonly model: Model) {
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {
+    this.canvas = find(root, "stress-plot", HTMLCanvasElement);
     this.sizes.observe(this.canvas);
     for (const button of this.buttons()) button.addEventListener("click", () => this.choose(button.dataset.axis as Axis));
   }
@@ -152,6 +156,6 @@ export class StressCard {
   }
 
   private buttons(): HTMLButtonElement[] {
-    return [...byId("stress").querySelectorAll<HTMLButtonElement>("button[data-axis]")];
+    return [...find(this.root, "stress").querySelectorAll<HTMLButtonElement>("button[data-axis]")];
   }
 }

@@ -1,4 +1,4 @@
-import { byId, create, setData, setProperty, setText } from "../dom";
+import { create, find, setData, setProperty, setText } from "../dom";
 import { elapsed, percent, shortTime } from "../format";
 import type { Model } from "../live/model";
 import { looksOf, UNKNOWN_SLOT, type Look } from "../tissues";
@@ -12,11 +12,16 @@ interface Bar {
 
 /** What is held, how sure that is, and what else it could be. */
 export class TissueCard {
-  private readonly card = byId("tissue");
+  private readonly card: HTMLElement;
   private bars: Bar[] = [];
   private barsFor: Hello["library"]["tissues"] | null = null;
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {
+    this.card = find(root, "tissue");
+  }
 
   render(nowMs: number): void {
     const { hello, identification } = this.model;
@@ -28,11 +33,11 @@ export class TissueCard {
 
   private renderNothingHeld(): void {
     setData(this.card, "answer", "none");
-    setText(byId("tissue-when"), "Held tissue");
-    setText(byId("tissue-mark"), "");
-    setText(byId("tissue-label"), this.model.hello ? "Nothing yet" : "Connecting…");
-    setText(byId("tissue-probability"), "");
-    setText(byId("tissue-facts"), this.hint());
+    setText(find(this.root, "tissue-when"), "Held tissue");
+    setText(find(this.root, "tissue-mark"), "");
+    setText(find(this.root, "tissue-label"), this.model.hello ? "Nothing yet" : "Connecting…");
+    setText(find(this.root, "tissue-probability"), "");
+    setText(find(this.root, "tissue-facts"), this.hint());
   }
 
   private hint(): string {
@@ -49,12 +54,12 @@ export class TissueCard {
     setData(this.card, "answer", held.label === "undecided" ? "undecided" : "named");
     setData(this.card, "slot", held.label === "undecided" ? "" : this.slotOf(held.label));
     setData(this.card, "past", String(past));
-    setText(byId("tissue-when"), past ? `Last grasp${this.sinceEnd(nowMs)}` : `${this.holding(nowMs)} · grasp ${held.grasp}`);
-    setText(byId("tissue-mark"), held.label === "undecided" ? "…" : this.markOf(held.label));
-    setText(byId("tissue-label"), this.model.titleOf(held.label));
-    setText(byId("tissue-probability"), held.label === "undecided" ? "" : percent(held.probability));
-    setText(byId("tissue-facts"), this.facts(held));
-    if (!this.model.isReplay) setText(byId("label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
+    setText(find(this.root, "tissue-when"), past ? `Last grasp${this.sinceEnd(nowMs)}` : `${this.holding(nowMs)} · grasp ${held.grasp}`);
+    setText(find(this.root, "tissue-mark"), held.label === "undecided" ? "…" : this.markOf(held.label));
+    setText(find(this.root, "tissue-label"), this.model.titleOf(held.label));
+    setText(find(this.root, "tissue-probability"), held.label === "undecided" ? "" : percent(held.probability));
+    setText(find(this.root, "tissue-facts"), this.facts(held));
+    if (!this.model.isReplay) setText(find(document, "label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
   }
 
   private holding(nowMs: number): string {
@@ -95,7 +100,7 @@ export class TissueCard {
       row.append(create("span", "swatch", look.mark), create("span", "bar-name", look.title), track, value);
       return { look, row, value };
     });
-    byId("tissue-bars").replaceChildren(...this.bars.map((bar) => bar.row));
+    find(this.root, "tissue-bars").replaceChildren(...this.bars.map((bar) => bar.row));
   }
 
   private renderBars(held: Identification | null): void {

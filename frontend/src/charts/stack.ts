@@ -1,6 +1,6 @@
 import "uplot/dist/uPlot.min.css";
 import type uPlot from "uplot";
-import { byId, setAttribute, setData, setHidden, setText } from "../dom";
+import { find, setAttribute, setData, setHidden, setText } from "../dom";
 import { NO_VALUE, fixed } from "../format";
 import type { Model } from "../live/model";
 import type { SampleRing } from "../live/ring";
@@ -32,17 +32,21 @@ export class ChartStack {
   private pausedBefore = false;
   private pressed = false;
   private parameter: Parameter = "alpha_n";
-  private readonly legend = new Legend(byId("legend"), (key, visible) =>
-    this.strips.forEach((strip) => strip.show(key, visible)),
-  );
+  private readonly legend: Legend;
   private readonly pace = new Pace();
-  private readonly scrub = byId("scrub-position", HTMLInputElement);
+  private readonly scrub: HTMLInputElement;
 
-  constructor(private readonly model: Model) {
-    byId("pause").addEventListener("click", () => this.togglePause());
-    byId("zoom-in").addEventListener("click", () => this.zoom(0.5));
-    byId("zoom-out").addEventListener("click", () => this.zoom(2));
-    byId("zoom-reset").addEventListener("click", () => this.reset());
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {
+    this.scrub = find(root, "scrub-position", HTMLInputElement);
+    const show = (key: string, visible: boolean): void => this.strips.forEach((strip) => strip.show(key, visible));
+    this.legend = new Legend(find(root, "legend"), show);
+    find(root, "pause").addEventListener("click", () => this.togglePause());
+    find(root, "zoom-in").addEventListener("click", () => this.zoom(0.5));
+    find(root, "zoom-out").addEventListener("click", () => this.zoom(2));
+    find(root, "zoom-reset").addEventListener("click", () => this.reset());
     this.scrub.addEventListener("input", () => this.scrubTo(Number(this.scrub.value)));
     for (const button of this.parameterButtons()) {
       button.addEventListener("click", () => this.choose(button.dataset.parameter as Parameter));
@@ -52,7 +56,7 @@ export class ChartStack {
   /** Draws what is new, unless paused; the ring goes on filling meanwhile. */
   render(): void {
     const { ring, hello } = this.model;
-    setData(byId("charts"), "empty", String(ring === null || ring.isEmpty));
+    setData(find(this.root, "charts"), "empty", String(ring === null || ring.isEmpty));
     if (!ring || !hello) return;
     if (this.builtFor?.ring !== ring || this.builtFor.channels !== hello.channels) this.rebuild();
     const { view, buckets } = this;
@@ -89,7 +93,7 @@ export class ChartStack {
     this.legend.rebuild(specs);
     this.strips = specs.map((spec) => this.strip(spec, hello));
     this.bucketsAnew();
-    setText(byId("parameter-unit"), PARAMETERS[this.parameter]);
+    setText(find(this.root, "parameter-unit"), PARAMETERS[this.parameter]);
   }
 
   close(): void {
@@ -143,11 +147,11 @@ export class ChartStack {
 
   private renderControls(view: View): void {
     if (this.pressed) return; // a control that appears would move the chart under the pointer
-    setAttribute(byId("pause"), "aria-pressed", String(view.paused));
-    setText(byId("pause-text"), view.paused ? "Go on" : "Pause");
-    setData(byId("charts"), "paused", String(view.paused));
-    setHidden(byId("zoom-reset"), !view.changed);
-    setHidden(byId("scrub"), !view.paused);
+    setAttribute(find(this.root, "pause"), "aria-pressed", String(view.paused));
+    setText(find(this.root, "pause-text"), view.paused ? "Go on" : "Pause");
+    setData(find(this.root, "charts"), "paused", String(view.paused));
+    setHidden(find(this.root, "zoom-reset"), !view.changed);
+    setHidden(find(this.root, "scrub"), !view.paused);
     if (!view.paused) return;
     const { first, last } = view.reach;
     setAttribute(this.scrub, "min", ((first - last) / view.rateHz).toFixed(2));
@@ -155,19 +159,19 @@ export class ChartStack {
     const back = (view.endTick - last) / view.rateHz;
     this.scrub.value = back.toFixed(2);
     const spanS = fixed(view.spanTicks / view.rateHz, 2, "s");
-    setText(byId("scrub-text"), back === 0 ? `${spanS} up to the pause` : `${spanS}, ending ${fixed(-back, 2, "s")} before the pause`);
+    setText(find(this.root, "scrub-text"), back === 0 ? `${spanS} up to the pause` : `${spanS}, ending ${fixed(-back, 2, "s")} before the pause`);
   }
 
   private parameterButtons(): HTMLButtonElement[] {
-    return [...byId("charts").querySelectorAll<HTMLButtonElement>("button[data-parameter]")];
+    return [...find(this.root, "charts").querySelectorAll<HTMLButtonElement>("button[data-parameter]")];
   }
 
   private strip(spec: PlotSpec, hello: Hello): Strip {
     const scale = verticalScale(spec.id, hello, this.parameter);
-    const readout = byId(`readout-${spec.id}`);
+    const readout = find(this.root, `readout-${spec.id}`);
     setText(readout, "");
-    byId(`lines-${spec.id}`).replaceChildren(...this.legend.lines(spec));
-    return new Strip(byId(`chart-${spec.id}`), {
+    find(this.root, `lines-${spec.id}`).replaceChildren(...this.legend.lines(spec));
+    return new Strip(find(this.root, `chart-${spec.id}`), {
       spec,
       scale,
       showTime: spec.id === CHARTS.at(-1),

@@ -1,4 +1,4 @@
-import { byId, create, setHidden, setText } from "../dom";
+import { create, find, setHidden, setText } from "../dom";
 import { bytes } from "../format";
 import { deletePath, messageOf, postJson } from "../live/rest";
 import type { Person } from "../shell/person";
@@ -16,14 +16,15 @@ export class BinSection {
 
   /** `changed` hears that a recording came back, and `told` why something was not done. */
   constructor(
+    private readonly root: HTMLElement,
     private readonly person: Person,
     private readonly changed: () => void,
     private readonly told: (text: string | null) => void,
   ) {
-    this.rows = new Rows(byId("bin-body"), ({ entry }) => entry, (recording) => this.makeRow(recording));
-    const empty = byId("bin-empty", HTMLButtonElement);
-    byId("bin-confirm").append(askFirst(empty, "Remove all of these for good?", "Remove for good", () => this.empty()));
-    this.polled = new Polled({ path: "/api/bin", what: "The bin", section: byId("bin"), take: (content) => this.take(content) });
+    this.rows = new Rows(find(root, "bin-body"), ({ entry }) => entry, (recording) => this.makeRow(recording));
+    const empty = find(root, "bin-empty", HTMLButtonElement);
+    find(root, "bin-confirm").append(askFirst(empty, "Remove all of these for good?", "Remove for good", () => this.empty()));
+    this.polled = new Polled({ path: "/api/bin", what: "The bin", section: find(root, "bin"), take: (content) => this.take(content) });
   }
 
   now(): void {
@@ -37,9 +38,9 @@ export class BinSection {
   private take({ recordings, size_bytes: size, keep_days: days }: BinContent): number {
     const none = recordings.length === 0;
     this.rows.show(recordings);
-    setText(byId("bin-note"), `What is deleted stays here for ${days} days, and takes room on the disk as long.`);
-    setText(byId("bin-count"), none ? "Nothing is in the bin." : `${recordings.length} in the bin, ${bytes(size)}`);
-    for (const id of ["bin-box", "bin-tools"]) setHidden(byId(id), none);
+    setText(find(this.root, "bin-note"), `What is deleted stays here for ${days} days, and takes room on the disk as long.`);
+    setText(find(this.root, "bin-count"), none ? "Nothing is in the bin." : `${recordings.length} in the bin, ${bytes(size)}`);
+    for (const id of ["bin-box", "bin-tools"]) setHidden(find(this.root, id), none);
     return EVERY_MS;
   }
 

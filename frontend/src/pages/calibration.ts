@@ -1,4 +1,4 @@
-import { byId, create, fill, setAttribute, setHidden, setText } from "../dom";
+import { create, fill, find, setAttribute, setHidden, setText } from "../dom";
 import { NO_VALUE } from "../format";
 import { deletePath, messageOf, postJson, takeReading } from "../live/rest";
 import { showHints } from "../shell/hints";
@@ -43,6 +43,7 @@ const WAYS: Record<CalibrationKind, Way> = {
 
 /** Guides through the calibrations of the tool: what to do, each reading, the fit, and where it was written. */
 export class CalibrationPage implements Page {
+  private readonly root: HTMLElement;
   private readonly what: HTMLSelectElement;
   private readonly values: HTMLInputElement;
   private readonly take: HTMLButtonElement;
@@ -53,21 +54,21 @@ export class CalibrationPage implements Page {
     box: HTMLElement,
     private readonly person: Person,
   ) {
-    fill(box, markup);
-    showHints(box);
-    this.what = byId("calibrate-what", HTMLSelectElement);
-    this.values = byId("calibrate-values", HTMLInputElement);
-    this.take = byId("reading-take", HTMLButtonElement);
-    byId("calibrate-person", HTMLInputElement).value = this.person.name ?? "";
+    this.root = fill(box, markup);
+    showHints(this.root);
+    this.what = find(this.root, "calibrate-what", HTMLSelectElement);
+    this.values = find(this.root, "calibrate-values", HTMLInputElement);
+    this.take = find(this.root, "reading-take", HTMLButtonElement);
+    find(this.root, "calibrate-person", HTMLInputElement).value = this.person.name ?? "";
     this.what.addEventListener("change", () => this.describe());
     this.describe();
-    byId("calibrate-form").addEventListener("submit", (event) => {
+    find(this.root, "calibrate-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.begin();
     });
     this.take.addEventListener("click", () => void this.read());
-    byId("reading-abandon").addEventListener("click", () => void this.abandon());
-    const section = byId("calibration");
+    find(this.root, "reading-abandon").addEventListener("click", () => void this.abandon());
+    const section = find(this.root, "calibration");
     this.polled = new Polled({ path: PATH, what: "The calibration", section, take: (answer) => this.show(answer) });
   }
 
@@ -79,9 +80,9 @@ export class CalibrationPage implements Page {
 
   private describe(): void {
     const { values } = WAYS[this.what.value as CalibrationKind];
-    setHidden(byId("calibrate-values-field"), !values);
+    setHidden(find(this.root, "calibrate-values-field"), !values);
     if (!values) return;
-    setText(byId("calibrate-values-name"), values.name);
+    setText(find(this.root, "calibrate-values-name"), values.name);
     this.values.value = values.usual;
   }
 
@@ -92,8 +93,8 @@ export class CalibrationPage implements Page {
       this.say("Not begun: write numbers with commas between.", "failed");
       return;
     }
-    const person = byId("calibrate-person", HTMLInputElement).value.trim();
-    const days = Number(byId("calibrate-days", HTMLInputElement).value);
+    const person = find(this.root, "calibrate-person", HTMLInputElement).value.trim();
+    const days = Number(find(this.root, "calibrate-days", HTMLInputElement).value);
     const request: CalibrationRequest = { what, values: numbers, person: person || null, valid_days: days };
     try {
       this.show(await postJson<Calibration>(PATH, request));
@@ -106,12 +107,12 @@ export class CalibrationPage implements Page {
   private async read(): Promise<void> {
     if (this.take.ariaBusy === "true") return;
     setAttribute(this.take, "aria-busy", "true");
-    setText(byId("reading-problem"), "");
+    setText(find(this.root, "reading-problem"), "");
     this.say("", "done");
     try {
       this.show(await takeReading<Calibration>());
     } catch (error) {
-      setText(byId("reading-problem"), messageOf(error));
+      setText(find(this.root, "reading-problem"), messageOf(error));
     } finally {
       setAttribute(this.take, "aria-busy", "false");
     }
@@ -122,7 +123,7 @@ export class CalibrationPage implements Page {
     try {
       await deletePath(PATH);
     } catch (error) {
-      setText(byId("reading-problem"), messageOf(error));
+      setText(find(this.root, "reading-problem"), messageOf(error));
     }
     this.polled.now();
   }
@@ -133,39 +134,39 @@ export class CalibrationPage implements Page {
     if (seen === this.shown) return again;
     this.shown = seen;
     const { what, values, readings, reading, problem, result } = state;
-    setHidden(byId("reading-none"), what !== null);
-    setHidden(byId("reading-box"), what === null);
-    setHidden(byId("fit-card"), result === null);
+    setHidden(find(this.root, "reading-none"), what !== null);
+    setHidden(find(this.root, "reading-box"), what === null);
+    setHidden(find(this.root, "fit-card"), result === null);
     if (what === null) return again;
     const way = WAYS[what];
     const next = values[readings.length];
     const left = next !== undefined;
     const number = values.length > 1 ? `${readings.length + 1} of ${values.length}: ` : "";
-    setText(byId("reading-do"), left ? number + way.todo(next) : result ? "All is read, and written." : "All is read. Begin again.");
+    setText(find(this.root, "reading-do"), left ? number + way.todo(next) : result ? "All is read, and written." : "All is read. Begin again.");
     setHidden(this.take, !left);
-    setHidden(byId("reading-abandon"), result !== null);
+    setHidden(find(this.root, "reading-abandon"), result !== null);
     setText(this.take, reading ? "Reading…" : way.moves ? "Close the jaws and read" : "Read");
-    setText(byId("reading-problem"), problem ?? "");
-    setHidden(byId("reading-table"), readings.length === 0);
-    setText(byId("reading-value-name"), way.values ? way.values.unit : "Reading");
-    byId("reading-body").replaceChildren(
+    setText(find(this.root, "reading-problem"), problem ?? "");
+    setHidden(find(this.root, "reading-table"), readings.length === 0);
+    setText(find(this.root, "reading-value-name"), way.values ? way.values.unit : "Reading");
+    find(this.root, "reading-body").replaceChildren(
       ...readings.map(({ value, strain_v, encoder_deg }, n) =>
         row(way.values ? String(value) : String(n + 1), strain_v.toFixed(4), encoder_deg.toFixed(1)),
       ),
     );
-    if (result) showResult(result);
+    if (result) showResult(this.root, result);
     return again;
   }
 
   private say(text: string, outcome: "done" | "failed"): void {
-    const message = byId("calibrate-message");
+    const message = find(this.root, "calibrate-message");
     message.dataset.outcome = outcome;
     setText(message, text);
   }
 }
 
-function showResult({ constants, remarks, file, ...points }: CalibrationResult): void {
-  byId("fit-body").replaceChildren(
+function showResult(root: HTMLElement, { constants, remarks, file, ...points }: CalibrationResult): void {
+  find(root, "fit-body").replaceChildren(
     ...constants.map((each) =>
       row(
         each.key,
@@ -176,9 +177,9 @@ function showResult({ constants, remarks, file, ...points }: CalibrationResult):
       ),
     ),
   );
-  setText(byId("fit-remarks"), remarks.join(" "));
-  setText(byId("fit-file"), file);
-  plot(byId("fit-plot", SVGSVGElement), points);
+  setText(find(root, "fit-remarks"), remarks.join(" "));
+  setText(find(root, "fit-file"), file);
+  plot(find(root, "fit-plot", SVGSVGElement), points);
 }
 
 const digits = (value: number): string => Number(value.toPrecision(DIGITS)).toString();

@@ -1,4 +1,4 @@
-import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
 import type { JournalCheck, JournalEntry, JournalKind } from "../wire";
 import { Polled } from "./polled";
 import { day, moment, Rows, timeOfDay, type Row } from "./rows";
@@ -14,22 +14,23 @@ type Choice = JournalKind | "all";
 export class Journal {
   private readonly polled: Polled<JournalEntry[]>;
   private readonly chain: Polled<JournalCheck>;
-  private readonly rows = new Rows(byId("journal-body"), (entry: JournalEntry) => JSON.stringify(entry), makeRow);
+  private readonly rows: Rows<JournalEntry>;
   private readonly buttons = new Map<Choice, HTMLButtonElement>();
   private entries: JournalEntry[] = [];
   private choice: Choice = "all";
 
-  constructor() {
+  constructor(private readonly root: HTMLElement) {
+    this.rows = new Rows(find(root, "journal-body"), (entry) => JSON.stringify(entry), makeRow);
     for (const [choice, text] of Object.entries({ all: "All", ...KIND }) as [Choice, string][]) {
       const button = create("button", "", text);
       button.type = "button";
       button.addEventListener("click", () => this.choose(choice));
       this.buttons.set(choice, button);
     }
-    byId("journal-kinds").replaceChildren(...this.buttons.values());
-    const [path, section] = [`/api/journal?most=${MOST}`, byId("journal")];
+    find(root, "journal-kinds").replaceChildren(...this.buttons.values());
+    const [path, section] = [`/api/journal?most=${MOST}`, find(root, "journal")];
     this.polled = new Polled({ path, what: "The journal", section, take: (entries) => this.take(entries) });
-    this.chain = new Polled({ path: "/api/audit/check", what: "Whether it is whole", section: byId("chain"), take: showChain });
+    this.chain = new Polled({ path: "/api/audit/check", what: "Whether it is whole", section: find(root, "chain"), take: (check) => showChain(root, check) });
   }
 
   close(): void {
@@ -53,17 +54,17 @@ export class Journal {
     this.rows.show(shown);
     for (const [choice, button] of this.buttons) setAttribute(button, "aria-pressed", String(choice === this.choice));
     const newest = this.entries.length === MOST ? `the newest ${MOST}` : String(this.entries.length);
-    setText(byId("journal-count"), `${shown.length} of ${newest}`);
-    setHidden(byId("journal-box"), shown.length === 0);
-    setHidden(byId("journal-empty"), shown.length > 0);
-    setText(byId("journal-empty"), this.entries.length === 0 ? "Nothing has happened yet." : "No line of this kind.");
+    setText(find(this.root, "journal-count"), `${shown.length} of ${newest}`);
+    setHidden(find(this.root, "journal-box"), shown.length === 0);
+    setHidden(find(this.root, "journal-empty"), shown.length > 0);
+    setText(find(this.root, "journal-empty"), this.entries.length === 0 ? "Nothing has happened yet." : "No line of this kind.");
   }
 }
 
-function showChain({ problem, notes, lines, checked_at }: JournalCheck): number {
+function showChain(root: HTMLElement, { problem, notes, lines, checked_at }: JournalCheck): number {
   const found = problem === null ? `Whole: ${lines} lines, none changed or missing.` : `Not as it was written: ${problem}.`;
-  setText(byId("chain-found"), [found, ...notes.map((note) => `Note: ${note}.`), `Checked ${timeOfDay(checked_at)}.`].join(" "));
-  setData(byId("chain-found"), "warn", String(problem !== null));
+  setText(find(root, "chain-found"), [found, ...notes.map((note) => `Note: ${note}.`), `Checked ${timeOfDay(checked_at)}.`].join(" "));
+  setData(find(root, "chain-found"), "warn", String(problem !== null));
   return CHECKED_EVERY_MS;
 }
 

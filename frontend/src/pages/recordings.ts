@@ -1,4 +1,4 @@
-import { byId, create, fill, setAttribute, setHidden, setText } from "../dom";
+import { create, fill, find, setAttribute, setHidden, setText } from "../dom";
 import { bytes, duration, NO_VALUE } from "../format";
 import { showHints } from "../shell/hints";
 import type { KeyAction } from "../shell/keys";
@@ -22,6 +22,7 @@ export class RecordingsPage implements Page {
   readonly keys: KeyAction[] = [
     { key: "/", shown: "/", does: "Find a recording by its name", run: () => this.filter.focus() },
   ];
+  private readonly root: HTMLElement;
   private readonly filter: HTMLInputElement;
   private readonly rows: Rows<RecordingInfo>;
   private readonly polled: Polled<Recordings>;
@@ -31,18 +32,18 @@ export class RecordingsPage implements Page {
   private descending = true;
 
   constructor(
-    private readonly box: HTMLElement,
+    box: HTMLElement,
     person: Person,
   ) {
-    fill(box, markup);
-    showHints(box);
-    this.filter = byId("recordings-filter", HTMLInputElement);
+    this.root = fill(box, markup);
+    showHints(this.root);
+    this.filter = find(this.root, "recordings-filter", HTMLInputElement);
     this.filter.addEventListener("input", () => this.show());
     for (const button of this.sortButtons()) button.addEventListener("click", () => this.sortBy(button.dataset.column as Column));
-    this.rows = new Rows(byId("recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.tell(text))));
-    const section = byId("recordings");
+    this.rows = new Rows(find(this.root, "recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.tell(text))));
+    const section = find(this.root, "recordings");
     this.polled = new Polled({ path: "/api/recordings", what: "The list", section, take: (answer) => this.take(answer) });
-    this.bin = new BinSection(person, () => this.polled.now(), (text) => this.showTold(text));
+    this.bin = new BinSection(this.root, person, () => this.polled.now(), (text) => this.showTold(text));
   }
 
   render(): void {}
@@ -60,13 +61,13 @@ export class RecordingsPage implements Page {
   }
 
   private showTold(text: string | null): void {
-    setText(byId("recordings-told"), text ?? "");
-    setHidden(byId("recordings-told"), text === null);
+    setText(find(this.root, "recordings-told"), text ?? "");
+    setHidden(find(this.root, "recordings-told"), text === null);
   }
 
   private take({ folder, recordings }: Recordings): number {
     this.recordings = recordings;
-    for (const place of this.box.querySelectorAll(".recordings-folder")) setText(place, folder);
+    for (const place of this.root.querySelectorAll(".recordings-folder")) setText(place, folder);
     this.show();
     return recordings.some(isBeingRead) ? WHILE_READING_MS : EVERY_MS;
   }
@@ -76,13 +77,13 @@ export class RecordingsPage implements Page {
     const found = this.recordings.filter(({ name }) => words.every((word) => name.toLowerCase().includes(word)));
     this.rows.show(found.toSorted((a, b) => compare(a, b, this.column, this.descending)));
     const [none, all] = [this.recordings.length === 0, this.recordings.length];
-    setText(byId("recordings-count"), found.length === all ? `${all} of ${all}` : `${found.length} of ${all}`);
-    setText(byId("recordings-no-match"), `No name contains “${this.filter.value.trim()}”.`);
-    setHidden(byId("recordings-empty"), !none);
-    setHidden(byId("recordings-tools"), none);
-    setHidden(byId("recordings-where"), none);
-    setHidden(byId("recordings-box"), found.length === 0);
-    setHidden(byId("recordings-no-match"), none || found.length > 0);
+    setText(find(this.root, "recordings-count"), found.length === all ? `${all} of ${all}` : `${found.length} of ${all}`);
+    setText(find(this.root, "recordings-no-match"), `No name contains “${this.filter.value.trim()}”.`);
+    setHidden(find(this.root, "recordings-empty"), !none);
+    setHidden(find(this.root, "recordings-tools"), none);
+    setHidden(find(this.root, "recordings-where"), none);
+    setHidden(find(this.root, "recordings-box"), found.length === 0);
+    setHidden(find(this.root, "recordings-no-match"), none || found.length > 0);
     for (const button of this.sortButtons()) {
       const order = button.dataset.column !== this.column ? "none" : this.descending ? "descending" : "ascending";
       if (button.parentElement) setAttribute(button.parentElement, "aria-sort", order);
@@ -97,7 +98,7 @@ export class RecordingsPage implements Page {
   }
 
   private sortButtons(): HTMLButtonElement[] {
-    return [...this.box.querySelectorAll<HTMLButtonElement>("button[data-column]")];
+    return [...this.root.querySelectorAll<HTMLButtonElement>("button[data-column]")];
   }
 }
 

@@ -1,4 +1,4 @@
-import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { fixed, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import type { KeyAction } from "../shell/keys";
@@ -13,27 +13,30 @@ const LEAD_S = 0.3;
 /** Play, pause, seek and speed of a recording, and what was an alarm in it. */
 export class ReplayBar {
   readonly keys: KeyAction[];
-  private readonly position = byId("replay-position", HTMLInputElement);
-  private readonly speed = byId("replay-speed", HTMLSelectElement);
+  private readonly position: HTMLInputElement;
+  private readonly speed: HTMLSelectElement;
   private told = "";
   private dragging = false;
   private seeking = false;
 
   constructor(
+    private readonly root: HTMLElement,
     private readonly model: Model,
     name: string,
     private readonly ask: (wanted: ReplayControl) => boolean,
   ) {
-    setHidden(byId("replay-bar"), false);
-    setData(byId("watch"), "replay", "true");
-    setHidden(byId("protocol-panel"), true);
-    setText(byId("watch-title"), `Replay of ${name}`);
-    setText(byId("replay-name"), name);
-    setText(byId("grasps-heading"), "Grasps so far");
+    this.position = find(root, "replay-position", HTMLInputElement);
+    this.speed = find(root, "replay-speed", HTMLSelectElement);
+    setHidden(find(root, "replay-bar"), false);
+    setData(root, "replay", "true");
+    setHidden(find(root, "protocol-panel"), true);
+    setText(find(root, "watch-title"), `Replay of ${name}`);
+    setText(find(root, "replay-name"), name);
+    setText(find(root, "grasps-heading"), "Grasps so far");
     this.speed.replaceChildren(...SPEEDS.map((speed) => new Option(`${speed} ×`, String(speed), speed === 1, speed === 1)));
-    byId("replay-play").addEventListener("click", () => this.toggle());
-    byId("replay-previous").addEventListener("click", () => this.toGrasp(-1));
-    byId("replay-next").addEventListener("click", () => this.toGrasp(1));
+    find(root, "replay-play").addEventListener("click", () => this.toggle());
+    find(root, "replay-previous").addEventListener("click", () => this.toGrasp(-1));
+    find(root, "replay-next").addEventListener("click", () => this.toGrasp(1));
     this.speed.addEventListener("change", () => this.want({ speed: Number(this.speed.value) }));
     this.position.addEventListener("input", () => {
       this.dragging = true;
@@ -60,18 +63,18 @@ export class ReplayBar {
   render(): void {
     const { replay, connected } = this.model;
     const ready = replay !== null && replay.prepared >= 1;
-    const buttons = ["replay-play", "replay-previous", "replay-next"].map((id) => byId(id, HTMLButtonElement));
+    const buttons = ["replay-play", "replay-previous", "replay-next"].map((id) => find(this.root, id, HTMLButtonElement));
     for (const control of [...buttons, this.position, this.speed]) {
       if (control.disabled === ready) control.disabled = !ready;
     }
-    setText(byId("replay-note"), this.note(connected, ready));
+    setText(find(this.root, "replay-note"), this.note(connected, ready));
     if (!replay || !ready) return;
     const length = replay.duration_s ?? 0;
-    setText(byId("replay-play"), replay.playing ? "Pause" : "Play");
+    setText(find(this.root, "replay-play"), replay.playing ? "Pause" : "Play");
     setAttribute(this.position, "max", String(length));
     if (document.activeElement !== this.speed) this.speed.value = String(replay.speed);
     if (!this.dragging) this.position.value = replay.position_s.toFixed(2);
-    setText(byId("replay-time"), `${fixed(replay.position_s, 1, "s")} of ${fixed(length, 1, "s")}`);
+    setText(find(this.root, "replay-time"), `${fixed(replay.position_s, 1, "s")} of ${fixed(length, 1, "s")}`);
     this.renderAlarms();
   }
 
@@ -86,7 +89,7 @@ export class ReplayBar {
   /** They were alarms then: shown here, without a sound and beside the tool's own. */
   private renderAlarms(): void {
     const texts = [...this.model.alarms.values()].filter(({ active }) => active).map(({ priority, text }) => `In the recording, ${priority}: ${text}`);
-    const box = byId("replay-alarms");
+    const box = find(this.root, "replay-alarms");
     if (box.textContent !== texts.join("")) box.replaceChildren(...texts.map((text) => create("li", "", text)));
   }
 

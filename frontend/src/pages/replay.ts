@@ -30,7 +30,7 @@ export class ReplayPage implements Page {
         if (frame.history) this.watch.charts.historyChanged();
       },
     });
-    this.bar = new ReplayBar(this.model, name, (wanted) => this.connection.send(wanted));
+    this.bar = new ReplayBar(this.watch.root, this.model, name, (wanted) => this.connection.send(wanted));
     this.keys = [...this.watch.keys, ...this.bar.keys];
     this.connection.start();
   }

@@ -1,4 +1,4 @@
-import { byId, create, fill, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, fill, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { duration, NO_VALUE } from "../format";
 import { messageOf, postJson } from "../live/rest";
 import { showHints } from "../shell/hints";
@@ -18,6 +18,7 @@ const STATE: Record<StudyState, string> = { running: "running", finished: "✓ f
 
 /** Studies of the estimator: start one, watch it, stop it, read what came out. */
 export class StudiesPage implements Page {
+  private readonly root: HTMLElement;
   private readonly choice: HTMLSelectElement;
   private readonly grasps: HTMLInputElement;
   private readonly seed: HTMLInputElement;
@@ -33,22 +34,22 @@ export class StudiesPage implements Page {
     box: HTMLElement,
     private readonly person: Person,
   ) {
-    fill(box, markup);
-    keepListsInThePage(box);
-    showHints(box);
-    this.choice = byId("study-choice", HTMLSelectElement);
-    this.grasps = byId("study-grasps", HTMLInputElement);
-    this.seed = byId("study-seed", HTMLInputElement);
-    this.start = byId("study-start", HTMLButtonElement);
-    this.message = byId("study-message");
+    this.root = fill(box, markup);
+    keepListsInThePage(this.root);
+    showHints(this.root);
+    this.choice = find(this.root, "study-choice", HTMLSelectElement);
+    this.grasps = find(this.root, "study-grasps", HTMLInputElement);
+    this.seed = find(this.root, "study-seed", HTMLInputElement);
+    this.start = find(this.root, "study-start", HTMLButtonElement);
+    this.message = find(this.root, "study-message");
     this.choice.addEventListener("change", () => this.describe());
-    byId("study-form").addEventListener("submit", (event) => {
+    find(this.root, "study-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.submit();
     });
-    this.now = new StudyNow(person, () => this.polled.now());
-    this.rows = new Rows(byId("studies-body"), ({ id }) => id, makeRow);
-    const section = byId("studies");
+    this.now = new StudyNow(this.root, person, () => this.polled.now());
+    this.rows = new Rows(find(this.root, "studies-body"), ({ id }) => id, makeRow);
+    const section = find(this.root, "studies");
     this.polled = new Polled({ path: "/api/studies", what: "The list", section, take: (answer) => this.take(answer) });
   }
 
@@ -66,9 +67,9 @@ export class StudiesPage implements Page {
     const earlier = runs.filter(({ state }) => state !== "running");
     this.now.show(running);
     this.rows.show(earlier);
-    setHidden(byId("studies-box"), earlier.length === 0);
-    setHidden(byId("studies-empty"), earlier.length > 0);
-    setText(byId("studies-folder"), folder);
+    setHidden(find(this.root, "studies-box"), earlier.length === 0);
+    setHidden(find(this.root, "studies-empty"), earlier.length > 0);
+    setText(find(this.root, "studies-folder"), folder);
     const ended = earlier.find(({ id }) => id === this.startedHere);
     if (ended) {
       this.startedHere = null;
@@ -80,7 +81,7 @@ export class StudiesPage implements Page {
   private list(available: StudyInfo[]): void {
     this.available = available;
     const chosen = this.choice.value;
-    this.choice.options.length = 0;
+    for (const old of Array.from(this.choice.options)) old.remove();
     this.choice.append(...available.map(option));
     if (available.some(({ name }) => name === chosen)) this.choice.value = chosen;
     this.choice.disabled = this.start.disabled = available.length === 0;
@@ -90,10 +91,10 @@ export class StudiesPage implements Page {
   private describe(): void {
     const study = this.available.find(({ name }) => name === this.choice.value);
     if (!study) return;
-    setText(byId("study-about"), study.title);
+    setText(find(this.root, "study-about"), study.title);
     this.grasps.value = study.grasps === null ? "" : String(study.grasps);
     this.grasps.max = String(study.most_grasps);
-    setText(byId("study-most"), `At most ${study.most_grasps.toLocaleString("en")} of each.`);
+    setText(find(this.root, "study-most"), `At most ${study.most_grasps.toLocaleString("en")} of each.`);
   }
 
   private async submit(): Promise<void> {

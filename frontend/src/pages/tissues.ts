@@ -1,5 +1,5 @@
 import { drawReferences, frameOf, type Axis } from "../cards/stress-plot";
-import { byId, create, fill, setAttribute, setText } from "../dom";
+import { create, fill, find, setAttribute, setText } from "../dom";
 import { fixed } from "../format";
 import { showHints } from "../shell/hints";
 import type { Page } from "../shell/router";
@@ -17,19 +17,20 @@ const DIGITS = 4;
 
 /** The tissue library in use: its profiles, where they are from, how much they spread, and their curves. */
 export class TissuesPage implements Page {
+  private readonly root: HTMLElement;
   private readonly canvas: HTMLCanvasElement;
   private readonly sizes = new ResizeObserver(() => this.draw());
   private readonly polled: Polled<LibraryInfo>;
   private library: LibraryInfo | null = null;
   private axis: Axis = "mm";
 
-  constructor(private readonly box: HTMLElement) {
-    fill(box, markup);
-    showHints(box);
-    this.canvas = byId("library-plot", HTMLCanvasElement);
+  constructor(box: HTMLElement) {
+    this.root = fill(box, markup);
+    showHints(this.root);
+    this.canvas = find(this.root, "library-plot", HTMLCanvasElement);
     this.sizes.observe(this.canvas);
     for (const button of this.axisButtons()) button.addEventListener("click", () => this.choose(button.dataset.axis as Axis));
-    const section = byId("library-plot-card");
+    const section = find(this.root, "library-plot-card");
     this.polled = new Polled({ path: "/api/tissues", what: "The library", section, take: (library) => this.take(library) });
   }
 
@@ -47,16 +48,16 @@ export class TissuesPage implements Page {
   private take(library: LibraryInfo): number {
     const same = JSON.stringify(library) === JSON.stringify(this.library);
     this.library = library;
-    setAttribute(byId("library"), "data-state", "ready");
+    setAttribute(find(this.root, "library"), "data-state", "ready");
     if (same) return EVERY_MS;
-    setText(byId("library-heading"), library.title);
-    showFacts(byId("library-facts"), {
+    setText(find(this.root, "library-heading"), library.title);
+    showFacts(find(this.root, "library-facts"), {
       Library: library.name,
       Source: library.source,
       "Jaw area": fixed(library.jaw_area_m2 * 1e6, 1, "mm²"),
       Mass: fixed(library.mass_kg * 1e3, 1, "g"),
     });
-    byId("library-body").replaceChildren(...rowsOf(library));
+    find(this.root, "library-body").replaceChildren(...rowsOf(library));
     this.draw();
     return EVERY_MS;
   }
@@ -73,7 +74,7 @@ export class TissuesPage implements Page {
   }
 
   private axisButtons(): HTMLButtonElement[] {
-    return [...this.box.querySelectorAll<HTMLButtonElement>("button[data-axis]")];
+    return [...this.root.querySelectorAll<HTMLButtonElement>("button[data-axis]")];
   }
 }
 

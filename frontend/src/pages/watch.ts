@@ -19,6 +19,7 @@ import markup from "./watch.html?raw";
 
 /** The cards and charts of one source: the tool as it is now, or a recording. */
 export class WatchPage implements Page {
+  readonly root: HTMLElement;
   readonly charts: ChartStack;
   readonly keys: KeyAction[];
   private readonly tissue: TissueCard;
@@ -34,17 +35,18 @@ export class WatchPage implements Page {
     model: Model,
     person: Person,
   ) {
-    fill(box, markup);
-    keepListsInThePage(box);
-    showHints(box);
-    this.ages = new Ages(model);
-    this.tissue = new TissueCard(model);
-    this.force = new ForceCard(model);
-    this.charts = new ChartStack(model);
-    this.stress = new StressCard(model);
-    this.criteria = new CriteriaTable(model);
-    this.grasps = new GraspsTable(model);
-    this.protocol = new ProtocolPanel(model, person);
+    const root = fill(box, markup);
+    this.root = root;
+    keepListsInThePage(root);
+    showHints(root);
+    this.ages = new Ages(root, model);
+    this.tissue = new TissueCard(root, model);
+    this.force = new ForceCard(root, model);
+    this.charts = new ChartStack(root, model);
+    this.stress = new StressCard(root, model);
+    this.criteria = new CriteriaTable(root, model);
+    this.grasps = new GraspsTable(root, model);
+    this.protocol = new ProtocolPanel(root, model, person);
     this.keys = [...chartKeys(this.charts), ...(model.isReplay ? [] : [startKey(this.protocol)])];
     if (!model.isReplay) void this.protocol.load();
   }
