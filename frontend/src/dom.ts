@@ -25,7 +25,7 @@ export function create<Tag extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
-// The setters touch the document only on a change: cards are rendered thirty times a second.
+// Each setter below changes the document only if the value differs: cards are rendered thirty times a second.
 
 export function setText(element: Element, text: string): void {
   if (element.textContent !== text) element.textContent = text;
@@ -43,14 +43,14 @@ export function setAttribute(element: Element, name: string, value: string): voi
   if (element.getAttribute(name) !== value) element.setAttribute(name, value);
 }
 
-/** Sets a custom property that the stylesheet turns into a length, through the CSSOM: no style attribute, no CSP hole. */
+/** Sets a custom property that the stylesheet turns into a length. It needs no style attribute, which the CSP forbids. */
 export function setProperty(element: HTMLElement, name: string, value: number): void {
   const text = value.toFixed(4);
   if (element.style.getPropertyValue(name) !== text) element.style.setProperty(name, text);
 }
 
-/** The colour of a custom property in the theme that is on. */
-export const cssColour = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+/** Returns the color of a custom property in the current theme. */
+export const cssColor = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** Fills `box` with a page's markup and returns its root element. The markup comes with the program, never from data. */
 export function fill(box: HTMLElement, markup: string): HTMLElement {

@@ -9,24 +9,24 @@ describe("ServerClock", () => {
 
   it("trusts the message that was delayed least", () => {
     const clock = new ServerClock();
-    clock.heard(10_000, 150);
-    clock.heard(10_100, 220);
-    clock.heard(10_200, 400);
+    clock.addReading(10_000, 150);
+    clock.addReading(10_100, 220);
+    clock.addReading(10_200, 400);
     assert.equal(clock.toPage(10_100), 220);
   });
 
   it("forgets messages of half a minute ago, since clocks drift", () => {
     const clock = new ServerClock();
-    clock.heard(0, 0);
-    clock.heard(29_000, 29_010);
+    clock.addReading(0, 0);
+    clock.addReading(29_000, 29_010);
     assert.equal(clock.toPage(29_000), 29_000);
-    clock.heard(29_980, 30_000);
+    clock.addReading(29_980, 30_000);
     assert.equal(clock.toPage(30_000), 30_010);
   });
 
   it("forgets everything on a reset", () => {
     const clock = new ServerClock();
-    clock.heard(0, 0);
+    clock.addReading(0, 0);
     clock.reset();
     assert.ok(Number.isNaN(clock.toPage(0)));
   });

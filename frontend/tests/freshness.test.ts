@@ -12,7 +12,7 @@ describe("FreshnessWatch", () => {
 
   it("goes on waiting while no data are due", () => {
     const watch = new FreshnessWatch(0);
-    watch.nothingDue(5000);
+    watch.expectNoData(5000);
     assert.equal(watch.at(5000 + LOST_AFTER_MS), "waiting");
   });
 
@@ -45,17 +45,17 @@ describe("FreshnessWatch", () => {
     const watch = new FreshnessWatch(0);
     watch.frameArrived(100, 0);
     watch.frameArrived(100 + LOST_AFTER_MS, 0);
-    assert.equal(watch.takeBlindTime(), null, "a gap of exactly the limit is none");
+    assert.equal(watch.takeOutage(), null, "a gap of exactly the limit is none");
     watch.frameArrived(5000, 0);
-    assert.deepEqual(watch.takeBlindTime(), { from: 1100, forMs: 3900 });
-    assert.equal(watch.takeBlindTime(), null);
+    assert.deepEqual(watch.takeOutage(), { from: 1100, forMs: 3900 });
+    assert.equal(watch.takeOutage(), null);
   });
 
   it("does not end a time without data with samples that are old themselves", () => {
     const watch = new FreshnessWatch(0);
     watch.frameArrived(100, 0);
     watch.frameArrived(9000, 2000);
-    assert.equal(watch.takeBlindTime(), null);
+    assert.equal(watch.takeOutage(), null);
     assert.equal(watch.at(9000), "lost");
   });
 });

@@ -9,7 +9,7 @@ import { alarm, frame, graspEnded, hello, identification, state } from "./messag
 function greeted(isReplay = false): Model {
   const model = new Model(isReplay);
   model.connected = true;
-  model.take(hello(), 0);
+  model.onMessage(hello(), 0);
   return model;
 }
 
@@ -28,16 +28,16 @@ describe("Model", () => {
   it("says that the server speaks another version", () => {
     const model = greeted();
     assert.equal(model.wrongVersion, false);
-    model.take(hello({ schema_version: SCHEMA_VERSION + 1 }), 0);
+    model.onMessage(hello({ schema_version: SCHEMA_VERSION + 1 }), 0);
     assert.equal(model.wrongVersion, true);
   });
 
   it("counts the samples that never came, but not those before history", () => {
     const model = greeted();
-    model.takeFrame(frame(0, [[0, 0], [1, 2]]), 10);
-    model.takeFrame(frame(5, [[0], [3]]), 20);
+    model.onFrame(frame(0, [[0, 0], [1, 2]]), 10);
+    model.onFrame(frame(5, [[0], [3]]), 20);
     assert.equal(model.samplesMissed, 3);
-    model.takeFrame(frame(9, [[0], [4]], true), 30);
+    model.onFrame(frame(9, [[0], [4]], true), 30);
     assert.equal(model.samplesMissed, 3);
     assert.equal(model.newest("jaw_force_n"), 4);
   });
@@ -45,48 +45,48 @@ describe("Model", () => {
   it("keeps the ring over a new connection with the same channels only", () => {
     const model = greeted();
     const { ring } = model;
-    model.take(hello(), 0);
+    model.onMessage(hello(), 0);
     assert.equal(model.ring, ring);
-    model.take(hello({ channels: [] }), 0);
+    model.onMessage(hello({ channels: [] }), 0);
     assert.notEqual(model.ring, ring);
   });
 
   it("remembers when the grasp ended, until the next one begins", () => {
     const model = greeted();
-    model.take(identification({ in_grasp: false }), 100);
+    model.onMessage(identification({ in_grasp: false }), 100);
     assert.equal(model.graspEndedAt, null);
-    model.take(identification(), 200);
-    model.take(identification({ in_grasp: false }), 300);
-    model.take(identification({ in_grasp: false }), 400);
+    model.onMessage(identification(), 200);
+    model.onMessage(identification({ in_grasp: false }), 300);
+    model.onMessage(identification({ in_grasp: false }), 400);
     assert.equal(model.graspEndedAt, 300);
-    model.take(identification({ grasp: 2 }), 500);
+    model.onMessage(identification({ grasp: 2 }), 500);
     assert.equal(model.graspEndedAt, null);
   });
 
   it("keeps an alarm until it is neither active nor latched", () => {
     const model = greeted();
-    model.take(alarm(), 0);
-    model.take(alarm({ active: false }), 0);
+    model.onMessage(alarm(), 0);
+    model.onMessage(alarm({ active: false }), 0);
     assert.equal(model.alarms.get("force")?.active, false);
-    model.take(alarm({ active: false, latched: false }), 0);
+    model.onMessage(alarm({ active: false, latched: false }), 0);
     assert.equal(model.alarms.size, 0);
   });
 
   it("lists the grasps of one run, newest first and each once", () => {
     const model = greeted();
-    for (const index of [1, 2, 2, 3]) model.take(graspEnded("a", index), 0);
+    for (const index of [1, 2, 2, 3]) model.onMessage(graspEnded("a", index), 0);
     assert.deepEqual(indicesOf(model), [3, 2, 1]);
-    model.take(graspEnded(null, 4), 0);
+    model.onMessage(graspEnded(null, 4), 0);
     assert.deepEqual(indicesOf(model), [4, 3, 2, 1], "one outside of a run goes with those before it");
-    model.take(graspEnded("b", 1), 0);
+    model.onMessage(graspEnded("b", 1), 0);
     assert.deepEqual(indicesOf(model), [1]);
   });
 
   it("says that the tool stands still only on news of after the question", () => {
     const model = greeted();
     const command = (volts: number, at: number): void => {
-      model.takeFrame({ ...frame(at, [[volts], [0]]), newestMs: at }, at);
-      model.take(state({ server_time_ms: at }), at);
+      model.onFrame({ ...frame(at, [[volts], [0]]), newestMs: at }, at);
+      model.onMessage(state({ server_time_ms: at }), at);
     };
     command(0, 100);
     assert.equal(model.standsStillSince(50, 110), true);
@@ -95,9 +95,9 @@ describe("Model", () => {
     command(0.5, 200);
     assert.equal(model.standsStillSince(50, 210), false, "the motor is driven");
     command(0, 300);
-    model.take(state({ server_time_ms: 300, safety: "holding back" }), 300);
+    model.onMessage(state({ server_time_ms: 300, safety: "holding back" }), 300);
     assert.equal(model.standsStillSince(50, 310), false, "a run is under way");
-    model.take(state({ server_time_ms: 300 }), 300);
+    model.onMessage(state({ server_time_ms: 300 }), 300);
     model.connected = false;
     assert.equal(model.standsStillSince(50, 310), false, "no connection");
   });

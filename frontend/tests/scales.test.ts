@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { describe, it } from "node:test";
-import { asScale, verticalScale } from "../src/charts/scales";
+import { toUplotScale, verticalScale } from "../src/charts/scales";
 import { hello } from "./messages";
 import { integers, SEEDS } from "./random";
 
@@ -54,7 +54,7 @@ describe("verticalScale", () => {
   });
 
   it("is linear or logarithmic for uPlot, with its own range", () => {
-    assert.equal(asScale(of("force")).distr, 1);
-    assert.equal(asScale(of("parameter")).distr, 3);
+    assert.equal(toUplotScale(of("force")).distr, 1);
+    assert.equal(toUplotScale(of("parameter")).distr, 3);
   });
 });

@@ -1,13 +1,13 @@
 import assert from "node:assert/strict";
 import { describe, it } from "node:test";
-import { looksOf, UNKNOWN_SLOT } from "../src/tissues";
+import { tissueStyles, UNKNOWN_SLOT } from "../src/tissues";
 import { tissue } from "./messages";
 
-const marksOf = (...titles: string[]): string[] => looksOf(titles.map((title) => tissue(title, title))).map(({ mark }) => mark);
+const marksOf = (...titles: string[]): string[] => tissueStyles(titles.map((title) => tissue(title, title))).map(({ mark }) => mark);
 
-describe("looksOf", () => {
+describe("tissueStyles", () => {
   it("adds the unknown tissue, which is none of the library", () => {
-    const [unknown, ...others] = looksOf([]);
+    const [unknown, ...others] = tissueStyles([]);
     assert.deepEqual(unknown, { name: "unknown", title: "Unknown", slot: UNKNOWN_SLOT, mark: "?" });
     assert.deepEqual(others, []);
   });
@@ -23,8 +23,8 @@ describe("looksOf", () => {
     assert.equal(new Set(marks).size, marks.length);
   });
 
-  it("begins the seven colours again at the eighth tissue", () => {
-    const slots = looksOf(Array.from({ length: 8 }, (_, i) => tissue(`t${i}`, `T${i}`))).map(({ slot }) => slot);
+  it("begins the seven colors again at the eighth tissue", () => {
+    const slots = tissueStyles(Array.from({ length: 8 }, (_, i) => tissue(`t${i}`, `T${i}`))).map(({ slot }) => slot);
     assert.deepEqual(slots, ["1", "2", "3", "4", "5", "6", "7", "1", UNKNOWN_SLOT]);
   });
 });

@@ -9,21 +9,21 @@ const RATE_HZ = 10;
 const LIVE_TICKS = LIVE_SPAN_S * RATE_HZ;
 
 /** A view of a ring that holds the ticks 0 to 999. */
-function viewed(): { view: View; ring: SampleRing; goOn: () => void } {
+function viewed(): { view: View; ring: SampleRing; addSamples: () => void } {
   const ring = new SampleRing(1, 1000);
   ring.write(frame(0, [Array.from({ length: 1000 }, () => 1)]));
-  return { view: new View(ring, RATE_HZ), ring, goOn: () => ring.write(frame(ring.end, [[1, 1, 1, 1, 1]])) };
+  return { view: new View(ring, RATE_HZ), ring, addSamples: () => ring.write(frame(ring.end, [[1, 1, 1, 1, 1]])) };
 }
 
 describe("View", () => {
   it("follows the newest sample until it is paused", () => {
-    const { view, goOn } = viewed();
-    goOn();
+    const { view, addSamples } = viewed();
+    addSamples();
     assert.deepEqual([view.paused, view.endTick, view.nowTick, view.spanTicks], [false, 1005, 1005, LIVE_TICKS]);
     view.pause();
-    goOn();
+    addSamples();
     assert.deepEqual([view.paused, view.endTick, view.nowTick], [true, 1005, 1005]);
-    view.goOn();
+    view.resume();
     assert.deepEqual([view.paused, view.endTick, view.nowTick], [false, 1010, 1010]);
   });
 
@@ -55,7 +55,7 @@ describe("View", () => {
   it("shows ten seconds again at the next pause", () => {
     const { view } = viewed();
     view.zoom(0.5);
-    view.goOn();
+    view.resume();
     view.pause();
     assert.equal(view.spanTicks, LIVE_TICKS);
   });

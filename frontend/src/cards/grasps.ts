@@ -1,10 +1,10 @@
 import { create, find, setHidden, setText } from "../dom";
 import { NO_VALUE, newtons, percent, shortTime, wholePercent } from "../format";
 import type { Model } from "../live/model";
-import { looksOf, UNKNOWN_SLOT } from "../tissues";
+import { tissueStyles, UNKNOWN_SLOT } from "../tissues";
 import type { GraspEnded, Priority } from "../wire";
 
-/** The grasps of this run, newest first. */
+/** Lists the grasps of this run, newest first. */
 export class GraspsTable {
   private shown: GraspEnded[] | null = null;
 
@@ -23,7 +23,7 @@ export class GraspsTable {
     find(this.root, "grasps-body").replaceChildren(...grasps.map((ended) => this.row(ended)));
   }
 
-  /** Every figure of the run's grasps, as the program that asks for them gets them. */
+  /** Links to all figures of the run's grasps, in the form that programs get from the API. */
   private renderLink(): void {
     const run = this.model.graspsOfRun;
     const box = find(this.root, "grasps-links");
@@ -50,9 +50,9 @@ export class GraspsTable {
     const { alarms, held_back: heldBack } = grasp;
     const share = grasp.peak_share_of_limit === null ? NO_VALUE : wholePercent(grasp.peak_share_of_limit);
     const tissue = create("td", "what");
-    const look = looksOf(this.model.tissues).find(({ name }) => name === grasp.label);
-    const swatch = create("span", "swatch", look?.mark ?? "…");
-    tissue.dataset.slot = look?.slot ?? UNKNOWN_SLOT;
+    const style = tissueStyles(this.model.tissues).find(({ name }) => name === grasp.label);
+    const swatch = create("span", "swatch", style?.mark ?? "…");
+    tissue.dataset.slot = style?.slot ?? UNKNOWN_SLOT;
     tissue.append(swatch, this.model.titleOf(grasp.label));
     if (!grasp.valid) tissue.append(create("small", "invalid", `not valid: ${grasp.why_invalid ?? "no reason given"}`));
     row.append(
@@ -67,7 +67,7 @@ export class GraspsTable {
     return row;
   }
 
-  /** How many of each priority, in words that need no colour. */
+  /** Counts the alarms of each priority, in words, so that color is not needed. */
   private alarms(alarms: Priority[], heldBack: boolean): HTMLTableCellElement {
     const cell = create("td", "alarms");
     for (const priority of ["high", "medium", "low"] as const) {

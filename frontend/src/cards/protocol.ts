@@ -7,7 +7,7 @@ import type { Hello, Phase, ProtocolInfo, Run, RunRequest, Safety, State } from 
 import { ControlLine } from "./control";
 import { drawWaveform } from "./waveform";
 
-/** Null: where the tool stands says more. */
+/** Text of each phase. Null: the safety state is shown instead. */
 const PHASE: Record<Phase, string | null> = {
   starting: "starting up",
   idle: null,
@@ -25,10 +25,10 @@ const SAFETY: Record<Safety, string> = {
   stopped: "stopped",
   faulted: "FAULT",
 };
-/** In these a press of the button disarms; in the others it arms. */
+/** Safety states in which the button disarms the tool. In the others it arms it. */
 const ARMED: Safety[] = ["testing", "armed", "running", "holding back", "let go"];
 
-/** Choosing a motion, seeing it before it runs, and starting it. */
+/** Chooses a protocol, previews it and starts it. */
 export class ProtocolPanel {
   private readonly protocol: HTMLSelectElement;
   private readonly tissue: HTMLSelectElement;
@@ -52,7 +52,7 @@ export class ProtocolPanel {
     this.start = find(root, "start", HTMLButtonElement);
     this.armButton = find(root, "arm", HTMLButtonElement);
     this.message = find(root, "run-message");
-    this.control = new ControlLine(root, person, (failure) => this.say(failure, "failed"));
+    this.control = new ControlLine(root, person, (failure) => this.showMessage(failure, "failed"));
     this.protocol.addEventListener("change", () => this.preview());
     this.armButton.addEventListener("click", () => void this.armOrDisarm());
     find(root, "run-form").addEventListener("submit", (event) => {
@@ -61,7 +61,7 @@ export class ProtocolPanel {
     });
   }
 
-  /** Fetches the protocols; at each new connection, since the server may have been given others. */
+  /** Fetches the protocols. Called at each new connection, because the server may offer others. */
   async load(): Promise<void> {
     try {
       this.protocols = await getProtocols();
@@ -94,7 +94,7 @@ export class ProtocolPanel {
     find(this.root, "run-form", HTMLFormElement).requestSubmit();
   }
 
-  /** What was said about starting no longer matters. */
+  /** Clears the message about the last start. */
   forget(): void {
     this.startedRun = null;
     setText(this.message, "");
@@ -102,14 +102,14 @@ export class ProtocolPanel {
 
   private async submit(): Promise<void> {
     if (this.start.ariaBusy === "true" || !this.person.may("operator")) return;
-    this.say("Starting…", "pending");
+    this.showMessage("Starting…", "pending");
     setAttribute(this.start, "aria-busy", "true");
     try {
       const run = await startRun(this.request());
       this.startedRun = run.id;
-      this.say(`Started: ${this.titleOf(run)}, ${count(run.cycles, "grasp")}.`, "done");
+      this.showMessage(`Started: ${this.titleOf(run)}, ${count(run.cycles, "grasp")}.`, "done");
     } catch (error) {
-      this.say(`Not started: ${messageOf(error)}`, "failed");
+      this.showMessage(`Not started: ${messageOf(error)}`, "failed");
     } finally {
       setAttribute(this.start, "aria-busy", "false");
     }
@@ -119,12 +119,12 @@ export class ProtocolPanel {
 
   private async armOrDisarm(): Promise<void> {
     const armed = this.isArmed(this.model.state);
-    this.say(armed ? "Disarming…" : "Testing the tool…", "pending");
+    this.showMessage(armed ? "Disarming…" : "Testing the tool…", "pending");
     try {
       await (armed ? disarm : arm)(this.person.name);
-      this.forget(); // the card's heading says where the tool stands
+      this.forget(); // the card's heading shows the safety state
     } catch (error) {
-      this.say(messageOf(error), "failed");
+      this.showMessage(messageOf(error), "failed");
     }
   }
 
@@ -174,7 +174,7 @@ export class ProtocolPanel {
 
   private readonly titleOf = (run: Run): string => this.protocols.find(({ name }) => name === run.protocol)?.title ?? run.protocol;
 
-  private say(text: string, outcome: "pending" | "done" | "failed"): void {
+  private showMessage(text: string, outcome: "pending" | "done" | "failed"): void {
     setText(this.message, text);
     setData(this.message, "outcome", outcome);
   }

@@ -1,16 +1,16 @@
 import { create, find, setData, setProperty, setText } from "../dom";
 import { elapsed, percent, shortTime } from "../format";
 import type { Model } from "../live/model";
-import { looksOf, UNKNOWN_SLOT, type Look } from "../tissues";
+import { tissueStyles, UNKNOWN_SLOT, type TissueStyle } from "../tissues";
 import type { Hello, Identification } from "../wire";
 
 interface Bar {
-  look: Look;
+  style: TissueStyle;
   row: HTMLElement;
   value: HTMLElement;
 }
 
-/** What is held, how sure that is, and what else it could be. */
+/** Shows which tissue is held, with its probability and those of the other tissues. */
 export class TissueCard {
   private readonly card: HTMLElement;
   private bars: Bar[] = [];
@@ -85,30 +85,30 @@ export class TissueCard {
     return likeliest ? `${notSure} · likeliest ${this.model.titleOf(likeliest[0])}, ${percent(likeliest[1])}` : notSure;
   }
 
-  private readonly slotOf = (label: string): string => this.lookOf(label)?.slot ?? UNKNOWN_SLOT;
-  private readonly markOf = (label: string): string => this.lookOf(label)?.mark ?? "?";
-  private readonly lookOf = (label: string): Look | undefined => this.bars.find((bar) => bar.look.name === label)?.look;
+  private readonly slotOf = (label: string): string => this.styleOf(label)?.slot ?? UNKNOWN_SLOT;
+  private readonly markOf = (label: string): string => this.styleOf(label)?.mark ?? "?";
+  private readonly styleOf = (label: string): TissueStyle | undefined => this.bars.find((bar) => bar.style.name === label)?.style;
 
   private buildBars(hello: Hello): void {
     this.barsFor = hello.library.tissues;
-    this.bars = looksOf(hello.library.tissues).map((look) => {
+    this.bars = tissueStyles(hello.library.tissues).map((style) => {
       const row = create("li");
-      row.dataset.slot = look.slot;
+      row.dataset.slot = style.slot;
       const track = create("span", "bar-track");
       track.append(create("span", "bar-fill"));
       const value = create("span", "bar-value");
-      row.append(create("span", "swatch", look.mark), create("span", "bar-name", look.title), track, value);
-      return { look, row, value };
+      row.append(create("span", "swatch", style.mark), create("span", "bar-name", style.title), track, value);
+      return { style, row, value };
     });
     find(this.root, "tissue-bars").replaceChildren(...this.bars.map((bar) => bar.row));
   }
 
   private renderBars(held: Identification | null): void {
-    for (const { look, row, value } of this.bars) {
-      const share = held && held.grasp > 0 ? held.probabilities[look.name] : undefined;
+    for (const { style, row, value } of this.bars) {
+      const share = held && held.grasp > 0 ? held.probabilities[style.name] : undefined;
       setProperty(row, "--share", share ?? 0);
       setText(value, percent(share));
-      setData(row, "chosen", String(held?.grasp !== 0 && held?.label === look.name));
+      setData(row, "chosen", String(held?.grasp !== 0 && held?.label === style.name));
     }
   }
 }

@@ -7,7 +7,7 @@ const HEIGHT = 64;
 const MARGIN = 4;
 const SVG = "http://www.w3.org/2000/svg";
 
-/** Draws the motor command of one cycle before it runs. */
+/** Draws the motor command of one cycle of a protocol. */
 export function drawWaveform(root: HTMLElement, protocol: ProtocolInfo): void {
   const points = protocol.time_s.map((t, i) => {
     const x = (t / protocol.cycle_s) * WIDTH;

@@ -13,7 +13,7 @@ import { Strip } from "./strip";
 import { plotSpecs, type Parameter, type PlotSpec } from "./traces";
 import { View } from "./view";
 
-/** Pairs of points across a chart, about one a pixel; 500 cost half as much time again. */
+/** Buckets across a chart, about one per pixel; 500 take half as much time again. */
 const BUCKETS = 250;
 const CHARTS = ["force", "displacement", "probability", "parameter"];
 const PARAMETERS: Record<Parameter, string> = {
@@ -28,9 +28,9 @@ export class ChartStack {
   private buckets: Buckets | null = null;
   private view: View | null = null;
   private builtFor: { ring: SampleRing; channels: unknown } | null = null;
-  private drawn = "";
+  private drawnState = "";
   private pausedBefore = false;
-  private pressed = false;
+  private pointerDown = false;
   private parameter: Parameter = "alpha_n";
   private readonly legend: Legend;
   private readonly pace = new Pace();
@@ -49,11 +49,11 @@ export class ChartStack {
     find(root, "zoom-reset").addEventListener("click", () => this.reset());
     this.scrub.addEventListener("input", () => this.scrubTo(Number(this.scrub.value)));
     for (const button of this.parameterButtons()) {
-      button.addEventListener("click", () => this.choose(button.dataset.parameter as Parameter));
+      button.addEventListener("click", () => this.showParameter(button.dataset.parameter as Parameter));
     }
   }
 
-  /** Draws what is new, unless paused; the ring goes on filling meanwhile. */
+  /** Draws new samples. While paused, the ring goes on filling. */
   render(): void {
     const { ring, hello } = this.model;
     setData(find(this.root, "charts"), "empty", String(ring === null || ring.isEmpty));
@@ -63,26 +63,26 @@ export class ChartStack {
     if (!view || !buckets || ring.isEmpty) return;
     const began = performance.now();
     const state = `${view.endTick} ${view.spanTicks} ${ring.generation}`;
-    if (state === this.drawn) return;
-    this.drawn = state;
+    if (state === this.drawnState) return;
+    this.drawnState = state;
     buckets.update(view.endTick);
     const toS = view.endTick / view.rateHz;
     const shown = { fromS: toS - view.spanTicks / view.rateHz, toS, nowS: view.nowTick / view.rateHz };
     this.strips.forEach((strip, i) => {
-      if (view.paused || this.pace.draws(i)) strip.draw(buckets, shown);
+      if (view.paused || this.pace.shouldDraw(i)) strip.draw(buckets, shown);
     });
-    this.pace.next();
+    this.pace.nextPicture();
     if (!view.paused) this.pace.measure(began);
     this.renderControls(view);
   }
 
-  /** Older samples have come in: read the ring again. */
+  /** Reads the ring again, because older samples have arrived. */
   historyChanged(): void {
     this.buckets?.invalidate();
-    this.drawn = "";
+    this.drawnState = "";
   }
 
-  /** Builds the charts anew: other channels, other parameter, other theme. */
+  /** Builds the charts again, after a change of channels, parameter or theme. */
   rebuild(): void {
     const { ring, hello } = this.model;
     if (!ring || !hello) return;
@@ -91,8 +91,8 @@ export class ChartStack {
     for (const strip of this.strips) strip.destroy();
     const specs = plotSpecs(this.model, this.parameter);
     this.legend.rebuild(specs);
-    this.strips = specs.map((spec) => this.strip(spec, hello));
-    this.bucketsAnew();
+    this.strips = specs.map((spec) => this.makeStrip(spec, hello));
+    this.rebuildBuckets();
     setText(find(this.root, "parameter-unit"), PARAMETERS[this.parameter]);
   }
 
@@ -103,20 +103,20 @@ export class ChartStack {
 
   togglePause(): void {
     if (this.view?.paused) this.reset();
-    else this.look((view) => view.pause());
+    else this.changeView((view) => view.pause());
   }
 
-  /** Follow the tool again, ten seconds at a time. */
+  /** Follows the tool again, ten seconds at a time. */
   reset(): void {
-    this.look((view) => view.goOn());
+    this.changeView((view) => view.resume());
   }
 
-  /** Moves by a share of what is shown. */
-  move = (share: number): void => this.look((view) => view.move(share));
+  /** Moves by a share of the shown span. */
+  move = (share: number): void => this.changeView((view) => view.move(share));
 
-  zoom = (factor: number): void => this.look((view) => view.zoom(factor));
+  zoom = (factor: number): void => this.changeView((view) => view.zoom(factor));
 
-  choose(parameter: Parameter): void {
+  showParameter(parameter: Parameter): void {
     this.parameter = parameter;
     for (const button of this.parameterButtons()) {
       setAttribute(button, "aria-pressed", String(button.dataset.parameter === parameter));
@@ -124,29 +124,29 @@ export class ChartStack {
     this.rebuild();
   }
 
-  private look(change: (view: View) => void): void {
+  private changeView(change: (view: View) => void): void {
     if (!this.view) return;
     change(this.view);
-    this.bucketsAnew();
+    this.rebuildBuckets();
     this.renderControls(this.view);
   }
 
-  private bucketsAnew(): void {
+  private rebuildBuckets(): void {
     const { view } = this;
     if (!view || !this.builtFor) return;
     const traces = this.strips.flatMap((strip) => strip.traces);
     const columns = traces.flatMap(({ column, sdColumn }) => (sdColumn < 0 ? [column] : [column, sdColumn]));
     const bucketTicks = Math.max(1, Math.ceil(view.spanTicks / BUCKETS));
     this.buckets = new Buckets(this.builtFor.ring, [...new Set(columns)], view.rateHz, bucketTicks, BUCKETS + 1);
-    this.drawn = "";
+    this.drawnState = "";
   }
 
   private scrubTo(secondsBack: number): void {
-    this.look((view) => view.moveTo(view.nowTick + Math.round(secondsBack * view.rateHz)));
+    this.changeView((view) => view.moveTo(view.nowTick + Math.round(secondsBack * view.rateHz)));
   }
 
   private renderControls(view: View): void {
-    if (this.pressed) return; // a control that appears would move the chart under the pointer
+    if (this.pointerDown) return; // a control that appears would move the chart under the pointer
     setAttribute(find(this.root, "pause"), "aria-pressed", String(view.paused));
     setText(find(this.root, "pause-text"), view.paused ? "Go on" : "Pause");
     setData(find(this.root, "charts"), "paused", String(view.paused));
@@ -166,7 +166,7 @@ export class ChartStack {
     return [...find(this.root, "charts").querySelectorAll<HTMLButtonElement>("button[data-parameter]")];
   }
 
-  private strip(spec: PlotSpec, hello: Hello): Strip {
+  private makeStrip(spec: PlotSpec, hello: Hello): Strip {
     const scale = verticalScale(spec.id, hello, this.parameter);
     const readout = find(this.root, `readout-${spec.id}`);
     setText(readout, "");
@@ -179,26 +179,26 @@ export class ChartStack {
       onCursor: (chart) => setText(readout, this.readoutAt(chart, spec, scale.readout)),
       onPress: () => {
         this.pausedBefore = this.view?.paused ?? false;
-        this.pressed = true;
+        this.pointerDown = true;
         this.view?.pause();
       },
       onRelease: (marked) => {
-        this.pressed = false;
-        this.look((view) => {
+        this.pointerDown = false;
+        this.changeView((view) => {
           if (marked) view.show(marked.fromS * view.rateHz, marked.toS * view.rateHz);
-          else if (!this.pausedBefore) view.goOn();
+          else if (!this.pausedBefore) view.resume();
         });
       },
     });
   }
 
-  /** The values under the cursor, in words; empty while the cursor is elsewhere. */
-  private readoutAt(chart: uPlot, spec: PlotSpec, say: (value: number) => string): string {
+  /** Returns the values under the cursor as text; empty if the cursor is elsewhere. */
+  private readoutAt(chart: uPlot, spec: PlotSpec, format: (value: number) => string): string {
     const index = chart.cursor.idx;
     if (index === null || index === undefined || (chart.cursor.left ?? -1) < 0 || !this.view) return "";
     const values = spec.traces.map((trace, i) => {
       const value = chart.data[i + 1]?.[index];
-      return `${trace.mark || trace.name} ${typeof value === "number" ? say(value) : NO_VALUE}`;
+      return `${trace.mark || trace.name} ${typeof value === "number" ? format(value) : NO_VALUE}`;
     });
     const ago = this.view.nowTick / this.view.rateHz - (chart.data[0][index] ?? 0);
     return `−${ago.toFixed(2)} s: ${values.join(" · ")}`;

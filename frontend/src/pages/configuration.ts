@@ -3,7 +3,7 @@ import { headCell } from "./rows";
 
 type Values = Record<string, unknown>;
 
-/** A file's keys and values: single ones in a table, each of its own tables behind a line that opens. */
+/** Shows a configuration: single values in a table, each nested table in a section that opens. */
 export function configuration(values: Values): HTMLElement[] {
   const entries = Object.entries(values);
   const single = entries.filter(([, value]) => !isTable(value));

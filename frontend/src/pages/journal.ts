@@ -5,15 +5,15 @@ import { day, moment, Rows, timeOfDay, type Row } from "./rows";
 
 const EVERY_MS = 5000;
 const CHECKED_EVERY_MS = 30_000;
-const MOST = 200;
+const MAX_ENTRIES = 200;
 const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged", deleted: "Deleted", restored: "Restored", emptied: "Removed", request: "Request", chain: "Chain", access: "Access" };
 
 type Choice = JournalKind | "all";
 
-/** What happened and who did it, newest first, of one kind or of all. */
+/** Lists who did what and when, newest first, filtered by kind. */
 export class Journal {
   private readonly polled: Polled<JournalEntry[]>;
-  private readonly chain: Polled<JournalCheck>;
+  private readonly chainCheck: Polled<JournalCheck>;
   private readonly rows: Rows<JournalEntry>;
   private readonly buttons = new Map<Choice, HTMLButtonElement>();
   private entries: JournalEntry[] = [];
@@ -28,17 +28,17 @@ export class Journal {
       this.buttons.set(choice, button);
     }
     find(root, "journal-kinds").replaceChildren(...this.buttons.values());
-    const [path, section] = [`/api/journal?most=${MOST}`, find(root, "journal")];
-    this.polled = new Polled({ path, what: "The journal", section, take: (entries) => this.take(entries) });
-    this.chain = new Polled({ path: "/api/audit/check", what: "Whether it is whole", section: find(root, "chain"), take: (check) => showChain(root, check) });
+    const [path, section] = [`/api/journal?most=${MAX_ENTRIES}`, find(root, "journal")];
+    this.polled = new Polled({ path, title: "The journal", section, onAnswer: (entries) => this.onEntries(entries) });
+    this.chainCheck = new Polled({ path: "/api/audit/check", title: "Whether it is whole", section: find(root, "chain"), onAnswer: (check) => showChain(root, check) });
   }
 
   close(): void {
     this.polled.close();
-    this.chain.close();
+    this.chainCheck.close();
   }
 
-  private take(entries: JournalEntry[]): number {
+  private onEntries(entries: JournalEntry[]): number {
     this.entries = entries;
     this.show();
     return EVERY_MS;
@@ -53,7 +53,7 @@ export class Journal {
     const shown = this.entries.filter(({ kind }) => this.choice === "all" || kind === this.choice);
     this.rows.show(shown);
     for (const [choice, button] of this.buttons) setAttribute(button, "aria-pressed", String(choice === this.choice));
-    const newest = this.entries.length === MOST ? `the newest ${MOST}` : String(this.entries.length);
+    const newest = this.entries.length === MAX_ENTRIES ? `the newest ${MAX_ENTRIES}` : String(this.entries.length);
     setText(find(this.root, "journal-count"), `${shown.length} of ${newest}`);
     setHidden(find(this.root, "journal-box"), shown.length === 0);
     setHidden(find(this.root, "journal-empty"), shown.length > 0);
@@ -75,8 +75,8 @@ function makeRow(entry: JournalEntry): Row<JournalEntry> {
   const value = valueInWords(entry);
   const facts = [KIND[entry.kind], entry.by, value].filter(Boolean).join(" · ");
   what.append(create("small", "narrow", facts));
-  const asked = [entry.reason, entry.client && `from ${entry.client}`].filter(Boolean).join(" · ");
-  if (asked) what.append(create("small", "", asked));
+  const origin = [entry.reason, entry.client && `from ${entry.client}`].filter(Boolean).join(" · ");
+  if (origin) what.append(create("small", "", origin));
   element.append(time, kind, what, create("td", "roomy", entry.by ?? ""), create("td", "number roomy", value));
   return { element };
 }

@@ -17,10 +17,10 @@ const WHILE_READING_MS = 2000;
 
 type Column = "name" | "modified_at" | "duration_s" | "size_bytes";
 
-/** The recordings folder: find one, watch it again, download it. */
+/** Lists the recordings folder: find, replay, download or delete a recording. */
 export class RecordingsPage implements Page {
   readonly keys: KeyAction[] = [
-    { key: "/", shown: "/", does: "Find a recording by its name", run: () => this.filter.focus() },
+    { key: "/", label: "/", description: "Find a recording by its name", run: () => this.filter.focus() },
   ];
   private readonly root: HTMLElement;
   private readonly filter: HTMLInputElement;
@@ -40,10 +40,10 @@ export class RecordingsPage implements Page {
     this.filter = find(this.root, "recordings-filter", HTMLInputElement);
     this.filter.addEventListener("input", () => this.show());
     for (const button of this.sortButtons()) button.addEventListener("click", () => this.sortBy(button.dataset.column as Column));
-    this.rows = new Rows(find(this.root, "recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.tell(text))));
+    this.rows = new Rows(find(this.root, "recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.onDeleted(text))));
     const section = find(this.root, "recordings");
-    this.polled = new Polled({ path: "/api/recordings", what: "The list", section, take: (answer) => this.take(answer) });
-    this.bin = new BinSection(this.root, person, () => this.polled.now(), (text) => this.showTold(text));
+    this.polled = new Polled({ path: "/api/recordings", title: "The list", section, onAnswer: (answer) => this.onAnswer(answer) });
+    this.bin = new BinSection(this.root, person, () => this.polled.refresh(), (text) => this.showProblem(text));
   }
 
   render(): void {}
@@ -53,19 +53,19 @@ export class RecordingsPage implements Page {
     this.bin.close();
   }
 
-  /** Why something was not deleted; null: it was. */
-  private tell(text: string | null): void {
-    this.showTold(text);
-    this.polled.now();
-    this.bin.now();
+  /** Updates the lists after a deletion. `text` is the reason if it failed, else null. */
+  private onDeleted(text: string | null): void {
+    this.showProblem(text);
+    this.polled.refresh();
+    this.bin.refresh();
   }
 
-  private showTold(text: string | null): void {
+  private showProblem(text: string | null): void {
     setText(find(this.root, "recordings-told"), text ?? "");
     setHidden(find(this.root, "recordings-told"), text === null);
   }
 
-  private take({ folder, recordings }: Recordings): number {
+  private onAnswer({ folder, recordings }: Recordings): number {
     this.recordings = recordings;
     for (const place of this.root.querySelectorAll(".recordings-folder")) setText(place, folder);
     this.show();
@@ -90,7 +90,7 @@ export class RecordingsPage implements Page {
     }
   }
 
-  /** The same column again turns the order round; names begin with the first, numbers and times with the largest. */
+  /** Sorts by a column; the same one again reverses the order. Names start ascending, all else descending. */
   private sortBy(column: Column): void {
     this.descending = column === this.column ? !this.descending : column !== "name";
     this.column = column;
@@ -104,7 +104,7 @@ export class RecordingsPage implements Page {
 
 const isBeingRead = ({ duration_s: known, problem }: RecordingInfo): boolean => known === null && problem === null;
 
-/** What is not known comes last, either way. */
+/** Compares two recordings by a column. Unknown values come last in both orders. */
 function compare(a: RecordingInfo, b: RecordingInfo, column: Column, descending: boolean): number {
   const [first, second] = [a[column], b[column]];
   if (first === null || second === null) return Number(first === null) - Number(second === null);
@@ -156,14 +156,14 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement, question: HTMLEle
   return { element, update };
 }
 
-/** What was recorded: protocol, what it was said to hold, by whom. */
+/** Describes the run: protocol, tissue as entered, person. */
 function runInWords({ protocol, tissue, by, whole, run_id: runId }: RecordingInfo): string {
   if (runId === null) return "";
   const words = [protocol, tissue?.replaceAll("_", " "), by === null ? null : `by ${by}`];
   return [...words, whole ? null : "not whole: being recorded, or cut off"].filter(Boolean).join(" · ");
 }
 
-/** The file's name stands above it already. */
+/** Returns why a recording cannot be replayed, without the file name, which the row shows already. */
 function problemInWords({ name, problem }: RecordingInfo): string {
   if (problem === null) return "";
   const why = problem.startsWith(name) ? problem.slice(name.length).replace(/^[,:]?\s*/, "") : problem;
@@ -175,7 +175,7 @@ function lengthInWords(recording: RecordingInfo): string {
   return isBeingRead(recording) ? "reading…" : NO_VALUE;
 }
 
-/** Without an address it is plain text, and the keyboard passes it by. */
+/** Sets or removes a link's address. Without one it is plain text, which the keyboard skips. */
 function setLink(link: HTMLAnchorElement, href: string | null): void {
   if (href === null) {
     link.removeAttribute("href");

@@ -10,13 +10,13 @@ import "../styles/pages.css";
 import { Polled } from "./polled";
 import { dateTime, headCell, moment, Rows, type Row } from "./rows";
 import markup from "./studies.html?raw";
-import { StudyNow } from "./study-now";
+import { RunningStudy } from "./running-study";
 
 const EVERY_MS = 10_000;
 const WHILE_RUNNING_MS = 1000;
 const STATE: Record<StudyState, string> = { running: "running", finished: "✓ finished", stopped: "■ stopped", failed: "✕ failed" };
 
-/** Studies of the estimator: start one, watch it, stop it, read what came out. */
+/** Starts, watches and stops studies of the estimator, and links to their reports. */
 export class StudiesPage implements Page {
   private readonly root: HTMLElement;
   private readonly choice: HTMLSelectElement;
@@ -24,7 +24,7 @@ export class StudiesPage implements Page {
   private readonly seed: HTMLInputElement;
   private readonly start: HTMLButtonElement;
   private readonly message: HTMLElement;
-  private readonly now: StudyNow;
+  private readonly now: RunningStudy;
   private readonly rows: Rows<StudyRun>;
   private readonly polled: Polled<Studies>;
   private available: StudyInfo[] = [];
@@ -47,10 +47,10 @@ export class StudiesPage implements Page {
       event.preventDefault();
       void this.submit();
     });
-    this.now = new StudyNow(this.root, person, () => this.polled.now());
+    this.now = new RunningStudy(this.root, person, () => this.polled.refresh());
     this.rows = new Rows(find(this.root, "studies-body"), ({ id }) => id, makeRow);
     const section = find(this.root, "studies");
-    this.polled = new Polled({ path: "/api/studies", what: "The list", section, take: (answer) => this.take(answer) });
+    this.polled = new Polled({ path: "/api/studies", title: "The list", section, onAnswer: (answer) => this.onAnswer(answer) });
   }
 
   render(): void {
@@ -61,7 +61,7 @@ export class StudiesPage implements Page {
     this.polled.close();
   }
 
-  private take({ folder, available, runs }: Studies): number {
+  private onAnswer({ folder, available, runs }: Studies): number {
     if (JSON.stringify(available) !== JSON.stringify(this.available)) this.list(available);
     const running = runs.find(({ state }) => state === "running") ?? null;
     const earlier = runs.filter(({ state }) => state !== "running");
@@ -73,7 +73,7 @@ export class StudiesPage implements Page {
     const ended = earlier.find(({ id }) => id === this.startedHere);
     if (ended) {
       this.startedHere = null;
-      this.say(`Study ${ended.study} ${ended.state} after ${timeTaken(ended)}.`, ended.state === "failed" ? "failed" : "done");
+      this.showMessage(`Study ${ended.study} ${ended.state} after ${timeTaken(ended)}.`, ended.state === "failed" ? "failed" : "done");
     }
     return running ? WHILE_RUNNING_MS : EVERY_MS;
   }
@@ -99,18 +99,18 @@ export class StudiesPage implements Page {
 
   private async submit(): Promise<void> {
     if (this.start.ariaBusy === "true") return;
-    this.say("Starting…", "pending");
+    this.showMessage("Starting…", "pending");
     setAttribute(this.start, "aria-busy", "true");
     try {
       const run = await postJson<StudyRun>("/api/studies", this.request());
       this.startedHere = run.id;
-      this.say(`Started: ${run.study}, ${run.grasps} of each, seed ${run.seed}.`, "done");
+      this.showMessage(`Started: ${run.study}, ${run.grasps} of each, seed ${run.seed}.`, "done");
     } catch (error) {
-      this.say(`Not started: ${messageOf(error)}`, "failed");
+      this.showMessage(`Not started: ${messageOf(error)}`, "failed");
     } finally {
       setAttribute(this.start, "aria-busy", "false");
     }
-    this.polled.now();
+    this.polled.refresh();
   }
 
   private request(): StudyRequest {
@@ -123,7 +123,7 @@ export class StudiesPage implements Page {
     };
   }
 
-  private say(text: string, outcome: "pending" | "done" | "failed"): void {
+  private showMessage(text: string, outcome: "pending" | "done" | "failed"): void {
     setText(this.message, text);
     setData(this.message, "outcome", outcome);
   }
@@ -139,7 +139,7 @@ function option({ name, title }: StudyInfo): HTMLOptionElement {
 const timeTaken = ({ started_at: from, ended_at: to }: StudyRun): string =>
   to === null ? NO_VALUE : duration(Date.parse(to) - Date.parse(from));
 
-/** Of one that is over: nothing of it changes any more. */
+/** Creates the row of a finished study, which does not change any more. */
 function makeRow(run: StudyRun): Row<StudyRun> {
   const element = create("tr");
   const [what, when, state] = [headCell("what"), create("td", "roomy"), create("td", "study-state", STATE[run.state])];

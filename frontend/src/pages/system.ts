@@ -13,7 +13,7 @@ import markup from "./system.html?raw";
 
 const EVERY_MS = 5000;
 
-/** What runs here, how the tool is calibrated and set up, and what happened. */
+/** Shows the running service, the tool's calibration and configuration, and the journal. */
 export class SystemPage implements Page {
   private readonly root: HTMLElement;
   private readonly polled: Polled<System>;
@@ -24,7 +24,7 @@ export class SystemPage implements Page {
     this.root = fill(box, markup);
     showHints(this.root);
     const section = find(this.root, "system");
-    this.polled = new Polled({ path: "/api/system", what: "The system", section, take: (system) => this.take(system) });
+    this.polled = new Polled({ path: "/api/system", title: "The system", section, onAnswer: (system) => this.onAnswer(system) });
     this.journal = new Journal(this.root);
   }
 
@@ -35,7 +35,7 @@ export class SystemPage implements Page {
     this.journal.close();
   }
 
-  private take(system: System): number {
+  private onAnswer(system: System): number {
     showFacts(find(this.root, "service-facts"), {
       Machine: system.machine,
       "Up for": duration(Date.now() - Date.parse(system.started_at)),
@@ -52,7 +52,7 @@ export class SystemPage implements Page {
     return EVERY_MS;
   }
 
-  /** Only when it is another one: what somebody has opened stays open. */
+  /** Shows the configuration. If it is unchanged, sections that the person opened stay open. */
   private showConfiguration({ tool, settings }: System): void {
     const configured = JSON.stringify([tool, settings]);
     if (configured === this.configured) return;

@@ -1,9 +1,9 @@
-import { drawReferences, frameOf, type Axis } from "../cards/stress-plot";
+import { drawReferences, plotArea, type Axis } from "../cards/stress-plot";
 import { create, fill, find, setAttribute, setText } from "../dom";
 import { fixed } from "../format";
 import { showHints } from "../shell/hints";
 import type { Page } from "../shell/router";
-import { looksOf } from "../tissues";
+import { tissueStyles } from "../tissues";
 import type { LibraryInfo, TissueInfo } from "../wire";
 import "../styles/cards.css";
 import "../styles/pages.css";
@@ -15,7 +15,7 @@ import markup from "./tissues.html?raw";
 const EVERY_MS = 30_000;
 const DIGITS = 4;
 
-/** The tissue library in use: its profiles, where they are from, how much they spread, and their curves. */
+/** Shows the tissue library in use: profiles, sources, spread and curves. */
 export class TissuesPage implements Page {
   private readonly root: HTMLElement;
   private readonly canvas: HTMLCanvasElement;
@@ -29,9 +29,9 @@ export class TissuesPage implements Page {
     showHints(this.root);
     this.canvas = find(this.root, "library-plot", HTMLCanvasElement);
     this.sizes.observe(this.canvas);
-    for (const button of this.axisButtons()) button.addEventListener("click", () => this.choose(button.dataset.axis as Axis));
+    for (const button of this.axisButtons()) button.addEventListener("click", () => this.showAxis(button.dataset.axis as Axis));
     const section = find(this.root, "library-plot-card");
-    this.polled = new Polled({ path: "/api/tissues", what: "The library", section, take: (library) => this.take(library) });
+    this.polled = new Polled({ path: "/api/tissues", title: "The library", section, onAnswer: (library) => this.onAnswer(library) });
   }
 
   render(): void {}
@@ -45,7 +45,7 @@ export class TissuesPage implements Page {
     this.sizes.disconnect();
   }
 
-  private take(library: LibraryInfo): number {
+  private onAnswer(library: LibraryInfo): number {
     const same = JSON.stringify(library) === JSON.stringify(this.library);
     this.library = library;
     setAttribute(find(this.root, "library"), "data-state", "ready");
@@ -64,10 +64,10 @@ export class TissuesPage implements Page {
 
   private draw(): void {
     if (!this.library || this.canvas.clientWidth === 0) return;
-    drawReferences(this.canvas, frameOf(this.canvas, this.library, this.axis), this.library);
+    drawReferences(this.canvas, plotArea(this.canvas, this.library, this.axis), this.library);
   }
 
-  private choose(axis: Axis): void {
+  private showAxis(axis: Axis): void {
     this.axis = axis;
     for (const button of this.axisButtons()) setAttribute(button, "aria-pressed", String(button.dataset.axis === axis));
     this.draw();
@@ -79,13 +79,13 @@ export class TissuesPage implements Page {
 }
 
 function rowsOf({ tissues }: LibraryInfo): HTMLTableRowElement[] {
-  const looks = new Map(looksOf(tissues).map((look) => [look.name, look]));
+  const styles = new Map(tissueStyles(tissues).map((style) => [style.name, style]));
   return tissues.map((tissue) => {
-    const look = looks.get(tissue.name);
+    const style = styles.get(tissue.name);
     const row = create("tr");
     const what = headCell("what");
-    what.dataset.slot = look?.slot ?? "";
-    what.append(create("span", "swatch", look?.mark ?? ""), tissue.title);
+    what.dataset.slot = style?.slot ?? "";
+    what.append(create("span", "swatch", style?.mark ?? ""), tissue.title);
     row.append(what, ...cellsOf(tissue));
     return row;
   });
@@ -106,5 +106,5 @@ function valueCell(value: string, logSd: number | null): HTMLTableCellElement {
   return cell;
 }
 
-/** As the library's file has it, but no more digits than count. */
+/** Formats a value with its significant digits only. */
 const significant = (value: number): string => String(Number(value.toPrecision(DIGITS)));

@@ -3,8 +3,8 @@ import { duration } from "../format";
 import type { Freshness } from "../live/freshness";
 import type { Model } from "../live/model";
 
-/** Greys what is old on the watch page and says how old it is. A replay is marked as a whole instead. */
-export class Ages {
+/** Grays out old values on the watch page and shows their age. In a replay it only marks a lost connection. */
+export class AgeLabels {
   private readonly ages: HTMLElement[];
 
   constructor(

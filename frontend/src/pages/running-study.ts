@@ -4,14 +4,14 @@ import { messageOf, postJson } from "../live/rest";
 import type { Person } from "../shell/person";
 import type { StopRequest, StudyRun } from "../wire";
 
-/** The study under way: how far it is, how long it may still take, and its Stop. */
-export class StudyNow {
+/** Shows the running study: its progress, the time left, and a Stop button. */
+export class RunningStudy {
   private readonly stop: HTMLButtonElement;
   private readonly progress: HTMLProgressElement;
   private readonly message: HTMLElement;
   private run: StudyRun | null = null;
 
-  /** `onStop` is called once one was asked to stop. */
+  /** `onStop` is called after a stop request, whether it succeeded or not. */
   constructor(
     private readonly root: HTMLElement,
     private readonly person: Person,
@@ -24,7 +24,7 @@ export class StudyNow {
   }
 
   show(run: StudyRun | null): void {
-    if (run?.id !== this.run?.id) this.say("", "done");
+    if (run?.id !== this.run?.id) this.showMessage("", "done");
     this.run = run;
     setHidden(find(this.root, "study-none"), run !== null);
     setHidden(find(this.root, "study-now"), run === null);
@@ -51,22 +51,22 @@ export class StudyNow {
     setAttribute(this.stop, "aria-busy", "true");
     try {
       await postJson<StudyRun>(`/api/studies/${encodeURIComponent(this.run.id)}/stop`, request);
-      this.say("", "done");
+      this.showMessage("", "done");
     } catch (error) {
-      this.say(`Not stopped: ${messageOf(error)}`, "failed");
+      this.showMessage(`Not stopped: ${messageOf(error)}`, "failed");
     } finally {
       setAttribute(this.stop, "aria-busy", "false");
     }
     this.onStop();
   }
 
-  private say(text: string, outcome: "done" | "failed"): void {
+  private showMessage(text: string, outcome: "done" | "failed"): void {
     setText(this.message, text);
     setData(this.message, "outcome", outcome);
   }
 }
 
-/** If the cases to come take as long as those that are done. */
+/** Estimates the time left, if each further case takes as long as the average so far. */
 function leftInWords({ done, of }: StudyRun, ms: number): string {
   if (of === null || done === 0) return " so far";
   const minutes = (ms * (of - done)) / done / 60_000;
