@@ -22,6 +22,8 @@ test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	$(BIN)/ruff format --check --quiet .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
+	$(NPM) run lint --prefix frontend --silent
+	$(NPM) test --prefix frontend --silent
 	@# compiled once here, not by each test that starts the program
 	$(BIN)/python -m compileall -q app acquisition estimator config graspwatch
 	$(BIN)/graspwatch run trapezoid_2hz --tissue liver --cycles 1 >/dev/null

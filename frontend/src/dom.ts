@@ -1,7 +1,17 @@
-export function byId<Kind extends HTMLElement = HTMLElement>(id: string): Kind {
-  const element = document.getElementById(id);
-  if (!element) throw new Error(`index.html has no #${id}`);
-  return element as Kind;
+/** Returns the element with this id inside `root`. Throws where there is none, or one of another kind. */
+export function find(root: ParentNode, id: string): HTMLElement;
+export function find<Kind extends Element>(root: ParentNode, id: string, kind: new () => Kind): Kind;
+export function find(root: ParentNode, id: string, kind: new () => Element = HTMLElement): Element {
+  const element = root.querySelector(`#${id}`);
+  if (!(element instanceof kind)) throw new Error(`the page has no ${kind.name} #${id}`);
+  return element;
+}
+
+/** Returns an element of `index.html`, which is there on every page. */
+export function byId(id: string): HTMLElement;
+export function byId<Kind extends Element>(id: string, kind: new () => Kind): Kind;
+export function byId(id: string, kind: new () => Element = HTMLElement): Element {
+  return find(document, id, kind);
 }
 
 export function create<Tag extends keyof HTMLElementTagNameMap>(
@@ -15,7 +25,7 @@ export function create<Tag extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
-// The setters touch the document only on a change: cards are rendered thirty times a second.
+// Each setter below changes the document only if the value differs: cards are rendered thirty times a second.
 
 export function setText(element: Element, text: string): void {
   if (element.textContent !== text) element.textContent = text;
@@ -33,16 +43,19 @@ export function setAttribute(element: Element, name: string, value: string): voi
   if (element.getAttribute(name) !== value) element.setAttribute(name, value);
 }
 
-/** Sets a custom property that the stylesheet turns into a length, through the CSSOM: no style attribute, no CSP hole. */
+/** Sets a custom property that the stylesheet turns into a length. It needs no style attribute, which the CSP forbids. */
 export function setProperty(element: HTMLElement, name: string, value: number): void {
   const text = value.toFixed(4);
   if (element.style.getPropertyValue(name) !== text) element.style.setProperty(name, text);
 }
 
-/** The colour of a custom property in the theme that is on. */
-export const cssColour = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+/** Returns the color of a custom property in the current theme. */
+export const cssColor = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** Fills `box` with a page's markup, which comes with the program and never from data. */
-export function fill(box: HTMLElement, markup: string): void {
+/** Fills `box` with a page's markup and returns its root element. The markup comes with the program, never from data. */
+export function fill(box: HTMLElement, markup: string): HTMLElement {
   box.innerHTML = markup;
+  const root = box.firstElementChild;
+  if (!(root instanceof HTMLElement)) throw new Error("a page without an element");
+  return root;
 }

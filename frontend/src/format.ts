@@ -1,4 +1,4 @@
-/** What stands where there is no value. */
+/** Text for a missing value. */
 export const NO_VALUE = "–";
 
 export function fixed(value: number | null | undefined, digits: number, unit: string): string {
@@ -9,7 +9,7 @@ export function fixed(value: number | null | undefined, digits: number, unit: st
 
 export const newtons = (value: number | null | undefined): string => fixed(withoutMinusZero(value), 2, "N");
 
-/** Probabilities never read 100 % or 0 % unless they are. */
+/** Formats a share in percent. Only exact shares read 0 % or 100 %. */
 export function percent(share: number | null | undefined): string {
   if (share === null || share === undefined || !Number.isFinite(share)) return NO_VALUE;
   if (share > 0.99 && share < 1) return ">\u202f99\u202f%";
@@ -28,26 +28,26 @@ export function duration(ms: number): string {
   return `${Math.floor(s / 3600)}\u202fh ${Math.floor((s % 3600) / 60)}\u202fmin`;
 }
 
-/** How long ago something began, in whole seconds. */
+/** Formats the time since a start in whole seconds. */
 export const elapsed = (ms: number): string => {
   const s = Math.floor(Math.max(0, ms) / 1000);
   return s < 60 ? `${s}\u202fs` : duration(s * 1000);
 };
 
-/** Seconds of a decision, short ones in milliseconds. */
+/** Formats the time to a decision: in milliseconds below one second. */
 export function shortTime(s: number | null): string {
   if (s === null || !Number.isFinite(s)) return NO_VALUE;
   return s < 1 ? `${Math.round(s * 1000)}\u202fms` : `${s.toFixed(2)}\u202fs`;
 }
 
-/** Decimal prefixes, as disks are sold. */
+/** Formats a size with decimal prefixes, as disk sizes are given. */
 export function bytes(count: number): string {
   const units = ["B", "kB", "MB", "GB", "TB"];
   const power = count < 1 ? 0 : Math.min(units.length - 1, Math.floor(Math.log10(count) / 3));
   return fixed(count / 1000 ** power, power < 3 ? 0 : 1, units[power] ?? "B");
 }
 
-/** The wall clock at a moment of `performance.now()`. */
+/** Returns the local time of day at a moment of `performance.now()`. */
 export function clockTime(pageMs: number): string {
   const date = new Date(Date.now() - (performance.now() - pageMs));
   return date.toLocaleTimeString("en-GB", { hour12: false });
@@ -59,5 +59,5 @@ function withoutMinusZero(value: number | null | undefined): number | null | und
   return typeof value === "number" && value < 0 && value > -0.005 ? 0 : value;
 }
 
-/** Texts that may be sentences of their own. */
+/** Joins texts into one line, without their final periods. */
 export const inOneLine = (texts: string[]): string => texts.map((text) => text.replace(/\.$/, "")).join(" · ");

@@ -8,12 +8,12 @@ import { byId } from "./dom";
 import { WatchPage } from "./pages/watch";
 import { AlarmBar } from "./shell/alarms";
 import { forgetHints } from "./shell/hints";
-import { Keys } from "./shell/keys";
+import { KeyHandler } from "./shell/keys";
 import { Person } from "./shell/person";
 import { Router, type Route } from "./shell/router";
 import { Session } from "./shell/session";
 import { AlarmSound } from "./shell/sound";
-import { Staleness } from "./shell/staleness";
+import { StalenessBanner } from "./shell/staleness";
 import { StatusStrip } from "./shell/status";
 import { StopButton } from "./shell/stop";
 import { Theme } from "./shell/theme";
@@ -23,7 +23,7 @@ const session = new Session();
 const person = new Person(session);
 const stop = new StopButton(model, person);
 const status = new StatusStrip(model);
-const staleness = new Staleness(model);
+const staleness = new StalenessBanner(model);
 const sound = new AlarmSound();
 const alarms = new AlarmBar(model, sound, person);
 let live: WatchPage | null = null;
@@ -33,7 +33,7 @@ const ROUTES: Route[] = [
     name: "live",
     title: "Live",
     matches: (path) => path === "/",
-    load: async () => (box) => (live = new WatchPage(box, model, person)),
+    load: () => Promise.resolve((box) => (live = new WatchPage(box, model, person))),
   },
   {
     name: "recordings",
@@ -41,7 +41,7 @@ const ROUTES: Route[] = [
     matches: (path) => path.startsWith("/recordings/"),
     load: async () => {
       const { ReplayPage } = await import("./pages/replay");
-      return (box, path) => new ReplayPage(box, decodeURIComponent(path.slice("/recordings/".length)), person, schedule);
+      return (box, path) => new ReplayPage(box, decodeURIComponent(path.slice("/recordings/".length)), person, scheduleRender);
     },
   },
   {
@@ -90,14 +90,14 @@ const ROUTES: Route[] = [
     },
   },
 ];
-const router = new Router(ROUTES, schedule);
+const router = new Router(ROUTES, scheduleRender);
 const theme = new Theme(() => router.page?.themeChanged?.());
 
 let scheduled = false;
 let drawnMs = NaN;
 
-/** Whatever arrives between two pictures is drawn in one go. */
-function schedule(): void {
+/** Requests one repaint for everything that arrives before it. */
+function scheduleRender(): void {
   if (scheduled) return;
   scheduled = true;
   requestAnimationFrame(render);
@@ -105,16 +105,16 @@ function schedule(): void {
 
 function render(): void {
   scheduled = false;
-  watch();
+  updateAlarms();
   stop.render(model.state?.run?.id ?? null);
   router.page?.render(performance.now());
   status.render();
-  if (model.newestMs !== drawnMs) status.drawn(model.newestMs, performance.now());
+  if (model.newestMs !== drawnMs) status.onDrawn(model.newestMs, performance.now());
   drawnMs = model.newestMs;
 }
 
-/** Banner and alarms; also while the tab is hidden, when nothing else is drawn. */
-function watch(): void {
+/** Updates banner and alarms. It also runs while the tab is hidden, when no repaint does. */
+function updateAlarms(): void {
   const now = performance.now();
   const lost = staleness.render(now);
   alarms.render([...lost, ...stop.alarms(now), ...status.alarms()], now);
@@ -125,17 +125,17 @@ const connection = new Connection("/api/live", {
     model.connected = connected;
     if (!connected) void session.check();
     if (connected && router.page === live) live?.connected();
-    schedule();
+    scheduleRender();
   },
   onMessage: (message, arrivedMs) => {
-    model.take(message, arrivedMs);
-    if (message.type === "alarm") watch();
-    schedule();
+    model.onMessage(message, arrivedMs);
+    if (message.type === "alarm") updateAlarms();
+    scheduleRender();
   },
   onFrame: (frame, arrivedMs) => {
-    model.takeFrame(frame, arrivedMs);
+    model.onFrame(frame, arrivedMs);
     if (frame.history && router.page === live) live?.charts.historyChanged();
-    schedule();
+    scheduleRender();
   },
 });
 
@@ -144,18 +144,18 @@ function stopNow(): void {
   void stop.stop();
 }
 
-const keys = new Keys(
+const keys = new KeyHandler(
   stopNow,
   [
-    { key: "k", shown: "K", does: "Acknowledge the highest alarm", run: () => alarms.acknowledge() },
-    { key: "m", shown: "M", does: "Show or hide all alarms", run: () => alarms.toggleList() },
-    { key: "u", shown: "U", does: "Sound on; then pause it for two minutes", run: () => sound.press() },
-    { key: "1", shown: "1", does: "Live page", run: () => router.go("/") },
-    { key: "2", shown: "2", does: "Recordings", run: () => router.go("/recordings") },
-    { key: "3", shown: "3", does: "Tissue library", run: () => router.go("/tissues") },
-    { key: "4", shown: "4", does: "Studies", run: () => router.go("/studies") },
-    { key: "5", shown: "5", does: "System", run: () => router.go("/system") },
-    { key: "t", shown: "T", does: "Light or dark", run: () => theme.toggle() },
+    { key: "k", label: "K", description: "Acknowledge the highest alarm", run: () => alarms.acknowledge() },
+    { key: "m", label: "M", description: "Show or hide all alarms", run: () => alarms.toggleList() },
+    { key: "u", label: "U", description: "Sound on; then pause it for two minutes", run: () => sound.toggle() },
+    { key: "1", label: "1", description: "Live page", run: () => router.go("/") },
+    { key: "2", label: "2", description: "Recordings", run: () => router.go("/recordings") },
+    { key: "3", label: "3", description: "Tissue library", run: () => router.go("/tissues") },
+    { key: "4", label: "4", description: "Studies", run: () => router.go("/studies") },
+    { key: "5", label: "5", description: "System", run: () => router.go("/system") },
+    { key: "t", label: "T", description: "Light or dark", run: () => theme.toggle() },
   ],
   () => router.page?.keys ?? [],
   () => person.close(),
@@ -172,8 +172,8 @@ void session.load().then((known) => {
   person.show();
   if (!known) return;
   ticker.onmessage = () => {
-    watch();
-    if (model.freshness.at(performance.now()) !== "live" || router.page !== live) schedule(); // else the next frame does
+    updateAlarms();
+    if (model.freshness.at(performance.now()) !== "live" || router.page !== live) scheduleRender(); // else the next frame renders it
   };
   void router.show();
   connection.start();

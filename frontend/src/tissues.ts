@@ -1,29 +1,29 @@
 import type { TissueInfo } from "./wire";
 
-/** Slots 1 to 7 are Okabe-Ito colours in `styles/theme.css`, the last slot is grey for what is not in the library. */
+/** Slots 1 to 7 are Okabe-Ito colors in `styles/theme.css`. The last slot is gray, for tissues outside the library. */
 const SLOTS = 7;
 export const UNKNOWN_SLOT = "unknown";
 
-/** How a tissue is told from the others everywhere: a colour by its place in the library, and letters. */
-export interface Look {
+/** How every card and chart marks a tissue: a color by its place in the library, and letters. */
+export interface TissueStyle {
   name: string;
   title: string;
   slot: string;
   mark: string;
 }
 
-export function looksOf(tissues: TissueInfo[]): Look[] {
-  const looks = tissues.map((tissue, i) => ({
+export function tissueStyles(tissues: TissueInfo[]): TissueStyle[] {
+  const styles = tissues.map((tissue, i) => ({
     name: tissue.name,
     title: tissue.title,
     slot: String((i % SLOTS) + 1),
-    mark: shortest(tissue.title, tissues),
+    mark: uniqueMark(tissue.title, tissues),
   }));
-  return [...looks, { name: "unknown", title: "Unknown", slot: UNKNOWN_SLOT, mark: "?" }];
+  return [...styles, { name: "unknown", title: "Unknown", slot: UNKNOWN_SLOT, mark: "?" }];
 }
 
-/** Initials, or as many letters of the title as no other tissue shares. */
-function shortest(title: string, tissues: TissueInfo[]): string {
+/** Returns the initials of a title or, if another tissue shares them, as many first letters as make it unique. */
+function uniqueMark(title: string, tissues: TissueInfo[]): string {
   const others = tissues.map((tissue) => tissue.title).filter((other) => other !== title);
   const initials = initialsOf(title);
   if (!others.some((other) => initialsOf(other) === initials)) return initials;

@@ -1,12 +1,12 @@
-import { byId, create, setText } from "../dom";
+import { create, find, setText } from "../dom";
 import { NO_VALUE, newtons, shortTime } from "../format";
 import type { Model } from "../live/model";
-import { looksOf, UNKNOWN_SLOT } from "../tissues";
+import { tissueStyles, UNKNOWN_SLOT } from "../tissues";
 import type { TissueInfo } from "../wire";
 
 const FAR_OFF_N = 100;
 
-/** A filter that has run away is far off; how far says nothing. */
+/** Formats a force error. The error of a diverged filter is shown as a bound. */
 const ofForce = (errorN: number | null | undefined): string =>
   Math.abs(errorN ?? 0) > FAR_OFF_N ? `>\u202f${FAR_OFF_N}\u202fN` : newtons(errorN);
 
@@ -16,12 +16,15 @@ interface Row {
   error: HTMLElement;
 }
 
-/** The columns of the paper's Table V while the grasp goes on: when each filter converged, and its force error. */
+/** Shows when each filter converged and its force error during a grasp: columns of the paper's Table V. */
 export class CriteriaTable {
   private rows: Row[] = [];
   private rowsFor: TissueInfo[] | null = null;
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {}
 
   render(): void {
     const { tissues, identification } = this.model;
@@ -35,8 +38,8 @@ export class CriteriaTable {
 
   private build(tissues: TissueInfo[]): void {
     this.rowsFor = tissues;
-    const looks = looksOf(tissues).filter(({ slot }) => slot !== UNKNOWN_SLOT);
-    const lines = looks.map(({ name, title, slot, mark }) => {
+    const styles = tissueStyles(tissues).filter(({ slot }) => slot !== UNKNOWN_SLOT);
+    const lines = styles.map(({ name, title, slot, mark }) => {
       const line = create("tr");
       const tissue = create("th", "what");
       tissue.scope = "row";
@@ -47,6 +50,6 @@ export class CriteriaTable {
       return { line, row: { name, converged, error } };
     });
     this.rows = lines.map(({ row }) => row);
-    byId("criteria-body").replaceChildren(...lines.map(({ line }) => line));
+    find(this.root, "criteria-body").replaceChildren(...lines.map(({ line }) => line));
   }
 }

@@ -1,20 +1,26 @@
-import { byId, create, setAttribute, setData, setHidden, setProperty, setText } from "../dom";
+import { create, find, setAttribute, setData, setHidden, setProperty, setText } from "../dom";
 import { newtons, shortTime, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import type { Hello } from "../wire";
 
-/** The gauge ends a fifth above the limit, so that "over" has a place of its own. */
+/** The gauge ends a fifth above the limit, to show forces over the limit. */
 const GAUGE_END = 1.2;
 const ZONES = ["low", "medium", "high"] as const;
 type Zone = "none" | "safe" | (typeof ZONES)[number];
 
-/** Force now and its peak against the limit that the limiter enforces, as it says itself in every sample. */
+/** Shows the force and its peak against the enforced limit, which each sample carries. */
 export class ForceCard {
-  private readonly card = byId("force");
-  private readonly gauge = byId("gauge");
+  private readonly card: HTMLElement;
+  private readonly gauge: HTMLElement;
   private zonesFor: number[] | null = null;
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {
+    this.card = find(root, "force");
+    this.gauge = find(root, "gauge");
+  }
 
   render(): void {
     const { hello, identification } = this.model;
@@ -24,18 +30,18 @@ export class ForceCard {
     const filtered = this.model.newest("jaw_force_filtered_n");
     const force = Number.isFinite(filtered) ? filtered : this.model.newest("jaw_force_n");
     const share = force / limit;
-    setText(byId("force-now"), newtons(force));
+    setText(find(this.root, "force-now"), newtons(force));
     this.renderZone(share, limit, hello.warning_shares);
     this.renderPeak(force, limit);
     this.renderLimiter(share, limit);
     setProperty(this.gauge, "--share", onGauge(share));
     setAttribute(this.gauge, "aria-valuenow", Number.isFinite(share) ? String(Math.round(share * 100)) : "0");
     setAttribute(this.gauge, "aria-valuemax", String(GAUGE_END * 100));
-    setText(byId("force-limit"), this.limitInWords(limit));
-    setText(byId("force-scale"), hello.tool.force_scale.text);
+    setText(find(this.root, "force-limit"), this.limitInWords(limit));
+    setText(find(this.root, "force-scale"), hello.tool.force_scale.text);
     const threshold = identification?.threshold_n ?? hello.lowest_threshold_n;
-    const whose = this.whose(identification?.threshold_tissue ?? null);
-    setText(byId("force-threshold"), `Alarms by the injury threshold of ${whose}, ${newtons(threshold)}`);
+    const owner = this.thresholdOwner(identification?.threshold_tissue ?? null);
+    setText(find(this.root, "force-threshold"), `Alarms by the injury threshold of ${owner}, ${newtons(threshold)}`);
   }
 
   private limitInWords(limit: number): string {
@@ -43,39 +49,39 @@ export class ForceCard {
     return this.model.isReplay ? "No limit: this recording does not say any" : "No limit is enforced";
   }
 
-  private whose(tissue: string | null): string {
+  private thresholdOwner(tissue: string | null): string {
     return tissue === null ? "the library's most delicate tissue" : this.model.titleOf(tissue).toLowerCase();
   }
 
   private renderZone(share: number, limit: number, shares: number[]): void {
     const zone = zoneOf(share, shares);
     setData(this.card, "zone", zone);
-    setText(byId("force-zone"), Number.isFinite(limit) ? zoneInWords(zone, share) : "");
+    setText(find(this.root, "force-zone"), Number.isFinite(limit) ? zoneInWords(zone, share) : "");
   }
 
-  /** While a grasp goes on under a limit, also as a mark on the gauge; afterwards the limit is another one. */
+  /** Shows the peak of a grasp. The gauge marks it only during the grasp: later limits do not apply to it. */
   private renderPeak(force: number, limit: number): void {
     const held = this.model.identification;
-    const told = held && held.grasp > 0 ? held.peak_force_n : null;
-    const mark = byId("gauge-peak");
-    setHidden(mark, told === null || !held?.in_grasp || !Number.isFinite(limit));
-    if (told === null) return setText(byId("force-peak"), "");
-    if (!held?.in_grasp) return setText(byId("force-peak"), `Peak of the last grasp ${newtons(told)}`);
-    const peak = force > told ? force : told;
+    const reportedPeak = held && held.grasp > 0 ? held.peak_force_n : null;
+    const mark = find(this.root, "gauge-peak");
+    setHidden(mark, reportedPeak === null || !held?.in_grasp || !Number.isFinite(limit));
+    if (reportedPeak === null) return setText(find(this.root, "force-peak"), "");
+    if (!held?.in_grasp) return setText(find(this.root, "force-peak"), `Peak of the last grasp ${newtons(reportedPeak)}`);
+    const peak = force > reportedPeak ? force : reportedPeak;
     setProperty(mark, "--share", onGauge(peak / limit));
-    setText(byId("force-peak"), `Peak ${newtons(peak)}` + (Number.isFinite(limit) ? ` (${wholePercent(peak / limit)})` : ""));
+    setText(find(this.root, "force-peak"), `Peak ${newtons(peak)}` + (Number.isFinite(limit) ? ` (${wholePercent(peak / limit)})` : ""));
   }
 
-  /** How long until the limit is reached, and whether the limiter keeps the motor from it. */
+  /** Shows the time until the force reaches the limit, and whether the limiter holds the motor back. */
   private renderLimiter(share: number, limit: number): void {
     const held = this.model.identification;
     const holding = held?.in_grasp === true && held.holding_back;
     setData(this.card, "holding", String(holding));
-    const box = byId("force-holding");
+    const box = find(this.root, "force-holding");
     setHidden(box, !holding);
     if (holding) setText(box, `Limiter is holding the motor back${Number.isFinite(limit) ? ` under ${newtons(limit)}` : ""}`);
-    const left = held?.in_grasp ? held.time_to_limit_s : null;
-    setText(byId("force-forecast"), left === null || share >= 1 ? "" : `Limit in ${shortTime(left)} at this rate`);
+    const timeToLimitS = held?.in_grasp ? held.time_to_limit_s : null;
+    setText(find(this.root, "force-forecast"), timeToLimitS === null || share >= 1 ? "" : `Limit in ${shortTime(timeToLimitS)} at this rate`);
   }
 
   private markZones(hello: Hello): void {
@@ -86,7 +92,7 @@ export class ForceCard {
       setProperty(mark, "--share", onGauge(share));
       return mark;
     });
-    byId("gauge-zones").replaceChildren(...marks);
+    find(this.root, "gauge-zones").replaceChildren(...marks);
   }
 }
 

@@ -1,29 +1,32 @@
-import { byId, create, setHidden, setText } from "../dom";
+import { create, find, setHidden, setText } from "../dom";
 import { NO_VALUE, newtons, percent, shortTime, wholePercent } from "../format";
 import type { Model } from "../live/model";
-import { looksOf, UNKNOWN_SLOT } from "../tissues";
+import { tissueStyles, UNKNOWN_SLOT } from "../tissues";
 import type { GraspEnded, Priority } from "../wire";
 
-/** The grasps of this run, newest first. */
+/** Lists the grasps of this run, newest first. */
 export class GraspsTable {
   private shown: GraspEnded[] | null = null;
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {}
 
   render(): void {
     const { grasps } = this.model;
-    setHidden(byId("grasps"), grasps.length === 0);
-    setText(byId("grasps-empty"), this.note());
+    setHidden(find(this.root, "grasps"), grasps.length === 0);
+    setText(find(this.root, "grasps-empty"), this.note());
     this.renderLink();
     if (grasps === this.shown) return;
     this.shown = grasps;
-    byId("grasps-body").replaceChildren(...grasps.map((ended) => this.row(ended)));
+    find(this.root, "grasps-body").replaceChildren(...grasps.map((ended) => this.row(ended)));
   }
 
-  /** Every figure of the run's grasps, as the program that asks for them gets them. */
+  /** Links to all figures of the run's grasps, in the form that programs get from the API. */
   private renderLink(): void {
     const run = this.model.graspsOfRun;
-    const box = byId("grasps-links");
+    const box = find(this.root, "grasps-links");
     setHidden(box, run === null || this.model.grasps.length === 0);
     if (run === null || box.dataset.run === run) return;
     box.dataset.run = run;
@@ -47,9 +50,9 @@ export class GraspsTable {
     const { alarms, held_back: heldBack } = grasp;
     const share = grasp.peak_share_of_limit === null ? NO_VALUE : wholePercent(grasp.peak_share_of_limit);
     const tissue = create("td", "what");
-    const look = looksOf(this.model.tissues).find(({ name }) => name === grasp.label);
-    const swatch = create("span", "swatch", look?.mark ?? "…");
-    tissue.dataset.slot = look?.slot ?? UNKNOWN_SLOT;
+    const style = tissueStyles(this.model.tissues).find(({ name }) => name === grasp.label);
+    const swatch = create("span", "swatch", style?.mark ?? "…");
+    tissue.dataset.slot = style?.slot ?? UNKNOWN_SLOT;
     tissue.append(swatch, this.model.titleOf(grasp.label));
     if (!grasp.valid) tissue.append(create("small", "invalid", `not valid: ${grasp.why_invalid ?? "no reason given"}`));
     row.append(
@@ -64,7 +67,7 @@ export class GraspsTable {
     return row;
   }
 
-  /** How many of each priority, in words that need no colour. */
+  /** Counts the alarms of each priority, in words, so that color is not needed. */
   private alarms(alarms: Priority[], heldBack: boolean): HTMLTableCellElement {
     const cell = create("td", "alarms");
     for (const priority of ["high", "medium", "low"] as const) {

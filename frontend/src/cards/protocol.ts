@@ -1,4 +1,4 @@
-import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { count, inOneLine } from "../format";
 import { arm, disarm, getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
@@ -7,7 +7,7 @@ import type { Hello, Phase, ProtocolInfo, Run, RunRequest, Safety, State } from 
 import { ControlLine } from "./control";
 import { drawWaveform } from "./waveform";
 
-/** Null: where the tool stands says more. */
+/** Text of each phase. Null: the safety state is shown instead. */
 const PHASE: Record<Phase, string | null> = {
   starting: "starting up",
   idle: null,
@@ -25,41 +25,48 @@ const SAFETY: Record<Safety, string> = {
   stopped: "stopped",
   faulted: "FAULT",
 };
-/** In these a press of the button disarms; in the others it arms. */
+/** Safety states in which the button disarms the tool. In the others it arms it. */
 const ARMED: Safety[] = ["testing", "armed", "running", "holding back", "let go"];
 
-/** Choosing a motion, seeing it before it runs, and starting it. */
+/** Chooses a protocol, previews it and starts it. */
 export class ProtocolPanel {
-  private readonly protocol = byId<HTMLSelectElement>("protocol");
-  private readonly tissue = byId<HTMLSelectElement>("tissue-select");
-  private readonly cycles = byId<HTMLInputElement>("cycles");
-  private readonly start = byId<HTMLButtonElement>("start");
-  private readonly armButton = byId<HTMLButtonElement>("arm");
-  private readonly message = byId("run-message");
+  private readonly protocol: HTMLSelectElement;
+  private readonly tissue: HTMLSelectElement;
+  private readonly cycles: HTMLInputElement;
+  private readonly start: HTMLButtonElement;
+  private readonly armButton: HTMLButtonElement;
+  private readonly message: HTMLElement;
   private readonly control: ControlLine;
   private protocols: ProtocolInfo[] = [];
   private startedRun: string | null = null;
   private tissuesFor: Hello["holdable"] | null = null;
 
   constructor(
+    private readonly root: HTMLElement,
     private readonly model: Model,
     private readonly person: Person,
   ) {
-    this.control = new ControlLine(person, (failure) => this.say(failure, "failed"));
+    this.protocol = find(root, "protocol", HTMLSelectElement);
+    this.tissue = find(root, "tissue-select", HTMLSelectElement);
+    this.cycles = find(root, "cycles", HTMLInputElement);
+    this.start = find(root, "start", HTMLButtonElement);
+    this.armButton = find(root, "arm", HTMLButtonElement);
+    this.message = find(root, "run-message");
+    this.control = new ControlLine(root, person, (failure) => this.showMessage(failure, "failed"));
     this.protocol.addEventListener("change", () => this.preview());
     this.armButton.addEventListener("click", () => void this.armOrDisarm());
-    byId("run-form").addEventListener("submit", (event) => {
+    find(root, "run-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.submit();
     });
   }
 
-  /** Fetches the protocols; at each new connection, since the server may have been given others. */
+  /** Fetches the protocols. Called at each new connection, because the server may offer others. */
   async load(): Promise<void> {
     try {
       this.protocols = await getProtocols();
     } catch (error) {
-      if (this.protocols.length === 0) setText(byId("waveform-facts"), `No protocols: ${messageOf(error)}.`);
+      if (this.protocols.length === 0) setText(find(this.root, "waveform-facts"), `No protocols: ${messageOf(error)}.`);
       return;
     }
     const chosen = this.protocol.value;
@@ -72,22 +79,22 @@ export class ProtocolPanel {
   render(): void {
     const { hello, state } = this.model;
     if (hello && this.tissuesFor !== hello.holdable) this.listTissues(hello);
-    setHidden(byId("run-form"), this.model.hasNoTool);
+    setHidden(find(this.root, "run-form"), this.model.hasNoTool);
     this.control.render(state);
-    setText(byId("phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
-    setData(byId("phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
+    setText(find(this.root, "phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
+    setData(find(this.root, "phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
     setText(this.armButton, this.isArmed(state) ? "Disarm" : "Arm");
     this.armButton.disabled = this.start.disabled = state?.safety === "faulted";
-    setText(byId("run-now"), this.runInWords());
+    setText(find(this.root, "run-now"), this.runInWords());
     if (this.startedRun && state?.run === null && state.last_run?.id === this.startedRun) this.forget();
     if (hello && state) this.nameHeldTissue(state.simulated_tissue);
   }
 
   submitByKey(): void {
-    byId<HTMLFormElement>("run-form").requestSubmit();
+    find(this.root, "run-form", HTMLFormElement).requestSubmit();
   }
 
-  /** What was said about starting no longer matters. */
+  /** Clears the message about the last start. */
   forget(): void {
     this.startedRun = null;
     setText(this.message, "");
@@ -95,29 +102,29 @@ export class ProtocolPanel {
 
   private async submit(): Promise<void> {
     if (this.start.ariaBusy === "true" || !this.person.may("operator")) return;
-    this.say("Starting…", "pending");
+    this.showMessage("Starting…", "pending");
     setAttribute(this.start, "aria-busy", "true");
     try {
       const run = await startRun(this.request());
       this.startedRun = run.id;
-      this.say(`Started: ${this.titleOf(run)}, ${count(run.cycles, "grasp")}.`, "done");
+      this.showMessage(`Started: ${this.titleOf(run)}, ${count(run.cycles, "grasp")}.`, "done");
     } catch (error) {
-      this.say(`Not started: ${messageOf(error)}`, "failed");
+      this.showMessage(`Not started: ${messageOf(error)}`, "failed");
     } finally {
       setAttribute(this.start, "aria-busy", "false");
     }
   }
 
-  private isArmed = (state: State | null): boolean => state !== null && ARMED.includes(state.safety);
+  private readonly isArmed = (state: State | null): boolean => state !== null && ARMED.includes(state.safety);
 
   private async armOrDisarm(): Promise<void> {
     const armed = this.isArmed(this.model.state);
-    this.say(armed ? "Disarming…" : "Testing the tool…", "pending");
+    this.showMessage(armed ? "Disarming…" : "Testing the tool…", "pending");
     try {
       await (armed ? disarm : arm)(this.person.name);
-      this.forget(); // the card's heading says where the tool stands
+      this.forget(); // the card's heading shows the safety state
     } catch (error) {
-      this.say(messageOf(error), "failed");
+      this.showMessage(messageOf(error), "failed");
     }
   }
 
@@ -134,13 +141,13 @@ export class ProtocolPanel {
   private preview(): void {
     const protocol = this.protocols.find(({ name }) => name === this.protocol.value);
     if (!protocol) return;
-    drawWaveform(protocol);
+    drawWaveform(this.root, protocol);
     this.cycles.value = String(protocol.cycles);
   }
 
   private listTissues(hello: Hello): void {
     this.tissuesFor = hello.holdable;
-    setHidden(byId("tissue-choice"), hello.holdable.length === 0);
+    setHidden(find(this.root, "tissue-choice"), hello.holdable.length === 0);
     const chosen = this.tissue.value;
     const options = hello.holdable.map(({ name, title, in_library: known }) => option(name, known ? title : `${title} (not in the library)`));
     this.tissue.replaceChildren(option("", "As before"), ...options);
@@ -165,9 +172,9 @@ export class ProtocolPanel {
     return `Last run ${this.titleOf(run)} ${run.state} after ${count(run.grasps, "grasp")}${why}`;
   }
 
-  private titleOf = (run: Run): string => this.protocols.find(({ name }) => name === run.protocol)?.title ?? run.protocol;
+  private readonly titleOf = (run: Run): string => this.protocols.find(({ name }) => name === run.protocol)?.title ?? run.protocol;
 
-  private say(text: string, outcome: "pending" | "done" | "failed"): void {
+  private showMessage(text: string, outcome: "pending" | "done" | "failed"): void {
     setText(this.message, text);
     setData(this.message, "outcome", outcome);
   }

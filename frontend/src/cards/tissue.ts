@@ -1,22 +1,27 @@
-import { byId, create, setData, setProperty, setText } from "../dom";
+import { create, find, setData, setProperty, setText } from "../dom";
 import { elapsed, percent, shortTime } from "../format";
 import type { Model } from "../live/model";
-import { looksOf, UNKNOWN_SLOT, type Look } from "../tissues";
+import { tissueStyles, UNKNOWN_SLOT, type TissueStyle } from "../tissues";
 import type { Hello, Identification } from "../wire";
 
 interface Bar {
-  look: Look;
+  style: TissueStyle;
   row: HTMLElement;
   value: HTMLElement;
 }
 
-/** What is held, how sure that is, and what else it could be. */
+/** Shows which tissue is held, with its probability and those of the other tissues. */
 export class TissueCard {
-  private readonly card = byId("tissue");
+  private readonly card: HTMLElement;
   private bars: Bar[] = [];
   private barsFor: Hello["library"]["tissues"] | null = null;
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {
+    this.card = find(root, "tissue");
+  }
 
   render(nowMs: number): void {
     const { hello, identification } = this.model;
@@ -28,11 +33,11 @@ export class TissueCard {
 
   private renderNothingHeld(): void {
     setData(this.card, "answer", "none");
-    setText(byId("tissue-when"), "Held tissue");
-    setText(byId("tissue-mark"), "");
-    setText(byId("tissue-label"), this.model.hello ? "Nothing yet" : "Connecting…");
-    setText(byId("tissue-probability"), "");
-    setText(byId("tissue-facts"), this.hint());
+    setText(find(this.root, "tissue-when"), "Held tissue");
+    setText(find(this.root, "tissue-mark"), "");
+    setText(find(this.root, "tissue-label"), this.model.hello ? "Nothing yet" : "Connecting…");
+    setText(find(this.root, "tissue-probability"), "");
+    setText(find(this.root, "tissue-facts"), this.hint());
   }
 
   private hint(): string {
@@ -49,12 +54,12 @@ export class TissueCard {
     setData(this.card, "answer", held.label === "undecided" ? "undecided" : "named");
     setData(this.card, "slot", held.label === "undecided" ? "" : this.slotOf(held.label));
     setData(this.card, "past", String(past));
-    setText(byId("tissue-when"), past ? `Last grasp${this.sinceEnd(nowMs)}` : `${this.holding(nowMs)} · grasp ${held.grasp}`);
-    setText(byId("tissue-mark"), held.label === "undecided" ? "…" : this.markOf(held.label));
-    setText(byId("tissue-label"), this.model.titleOf(held.label));
-    setText(byId("tissue-probability"), held.label === "undecided" ? "" : percent(held.probability));
-    setText(byId("tissue-facts"), this.facts(held));
-    if (!this.model.isReplay) setText(byId("label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
+    setText(find(this.root, "tissue-when"), past ? `Last grasp${this.sinceEnd(nowMs)}` : `${this.holding(nowMs)} · grasp ${held.grasp}`);
+    setText(find(this.root, "tissue-mark"), held.label === "undecided" ? "…" : this.markOf(held.label));
+    setText(find(this.root, "tissue-label"), this.model.titleOf(held.label));
+    setText(find(this.root, "tissue-probability"), held.label === "undecided" ? "" : percent(held.probability));
+    setText(find(this.root, "tissue-facts"), this.facts(held));
+    if (!this.model.isReplay) setText(find(document, "label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
   }
 
   private holding(nowMs: number): string {
@@ -76,34 +81,34 @@ export class TissueCard {
 
   private undecidedFacts(held: Identification): string {
     const notSure = held.in_grasp ? "not sure enough to name it" : "never sure enough to name it";
-    const [likeliest] = Object.entries(held.probabilities).sort(([, a], [, b]) => b - a);
+    const [likeliest] = Object.entries(held.probabilities).toSorted(([, a], [, b]) => b - a);
     return likeliest ? `${notSure} · likeliest ${this.model.titleOf(likeliest[0])}, ${percent(likeliest[1])}` : notSure;
   }
 
-  private slotOf = (label: string): string => this.lookOf(label)?.slot ?? UNKNOWN_SLOT;
-  private markOf = (label: string): string => this.lookOf(label)?.mark ?? "?";
-  private lookOf = (label: string): Look | undefined => this.bars.find((bar) => bar.look.name === label)?.look;
+  private readonly slotOf = (label: string): string => this.styleOf(label)?.slot ?? UNKNOWN_SLOT;
+  private readonly markOf = (label: string): string => this.styleOf(label)?.mark ?? "?";
+  private readonly styleOf = (label: string): TissueStyle | undefined => this.bars.find((bar) => bar.style.name === label)?.style;
 
   private buildBars(hello: Hello): void {
     this.barsFor = hello.library.tissues;
-    this.bars = looksOf(hello.library.tissues).map((look) => {
+    this.bars = tissueStyles(hello.library.tissues).map((style) => {
       const row = create("li");
-      row.dataset.slot = look.slot;
+      row.dataset.slot = style.slot;
       const track = create("span", "bar-track");
       track.append(create("span", "bar-fill"));
       const value = create("span", "bar-value");
-      row.append(create("span", "swatch", look.mark), create("span", "bar-name", look.title), track, value);
-      return { look, row, value };
+      row.append(create("span", "swatch", style.mark), create("span", "bar-name", style.title), track, value);
+      return { style, row, value };
     });
-    byId("tissue-bars").replaceChildren(...this.bars.map((bar) => bar.row));
+    find(this.root, "tissue-bars").replaceChildren(...this.bars.map((bar) => bar.row));
   }
 
   private renderBars(held: Identification | null): void {
-    for (const { look, row, value } of this.bars) {
-      const share = held && held.grasp > 0 ? held.probabilities[look.name] : undefined;
+    for (const { style, row, value } of this.bars) {
+      const share = held && held.grasp > 0 ? held.probabilities[style.name] : undefined;
       setProperty(row, "--share", share ?? 0);
       setText(value, percent(share));
-      setData(row, "chosen", String(held?.grasp !== 0 && held?.label === look.name));
+      setData(row, "chosen", String(held?.grasp !== 0 && held?.label === style.name));
     }
   }
 }

@@ -1,4 +1,4 @@
-import { byId, setAttribute, setText } from "../dom";
+import { find, setAttribute, setText } from "../dom";
 import { fixed } from "../format";
 import type { ProtocolInfo } from "../wire";
 
@@ -7,8 +7,8 @@ const HEIGHT = 64;
 const MARGIN = 4;
 const SVG = "http://www.w3.org/2000/svg";
 
-/** Draws the motor command of one cycle before it runs. */
-export function drawWaveform(protocol: ProtocolInfo): void {
+/** Draws the motor command of one cycle of a protocol. */
+export function drawWaveform(root: HTMLElement, protocol: ProtocolInfo): void {
   const points = protocol.time_s.map((t, i) => {
     const x = (t / protocol.cycle_s) * WIDTH;
     const y = HEIGHT - MARGIN - ((protocol.command_v[i] ?? 0) / protocol.peak_command_v) * (HEIGHT - 2 * MARGIN);
@@ -17,9 +17,9 @@ export function drawWaveform(protocol: ProtocolInfo): void {
   const line = document.createElementNS(SVG, "polyline");
   line.setAttribute("points", points.join(" "));
   line.setAttribute("vector-effect", "non-scaling-stroke");
-  const svg = byId("waveform");
+  const svg = find(root, "waveform", SVGSVGElement);
   svg.replaceChildren(line);
   const facts = `up to ${fixed(protocol.peak_command_v, 1, "V")}, ${fixed(protocol.cycle_s, 2, "s")} each`;
   setAttribute(svg, "aria-label", `Motor command over one cycle, ${facts}`);
-  setText(byId("waveform-facts"), `Motor command ${facts}`);
+  setText(find(root, "waveform-facts"), `Motor command ${facts}`);
 }

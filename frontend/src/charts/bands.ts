@@ -4,8 +4,8 @@ import type { Trace } from "./traces";
 
 const OPACITY = 0.2;
 
-/** Shades one standard deviation of the logarithm around each parameter, in the stretches that have a value. */
-export function drawBands(chart: uPlot, traces: Trace[], colours: string[], buckets: Buckets): void {
+/** Shades one standard deviation of the logarithm around each parameter, where both have a value. */
+export function drawBands(chart: uPlot, traces: Trace[], colors: string[], buckets: Buckets): void {
   if (traces.every(({ sdColumn }) => sdColumn < 0)) return;
   const { left, top, width, height } = chart.bbox;
   const context = chart.ctx;
@@ -16,7 +16,7 @@ export function drawBands(chart: uPlot, traces: Trace[], colours: string[], buck
   context.globalAlpha = OPACITY;
   traces.forEach((trace, i) => {
     if (trace.sdColumn < 0 || !chart.series[i + 1]?.show) return;
-    context.fillStyle = colours[i] ?? "";
+    context.fillStyle = colors[i] ?? "";
     for (const stretch of stretches(chart, trace, buckets)) {
       context.beginPath();
       for (const { x, high } of stretch) context.lineTo(x, high);
@@ -33,7 +33,7 @@ interface Edge {
   high: number;
 }
 
-/** Unbroken stretches of the band's two edges in canvas pixels, one point a bucket. */
+/** Returns the parts of a band without gaps: its two edges in canvas pixels, one point per bucket. */
 function stretches(chart: uPlot, trace: Trace, buckets: Buckets): Edge[][] {
   const [values, sds] = [buckets.channel(trace.column), buckets.channel(trace.sdColumn)];
   const found: Edge[][] = [];

@@ -3,12 +3,12 @@ import type { SampleRing } from "../live/ring";
 type Point = number | null;
 
 /**
- * The last samples as pairs of minimum and maximum, in the order in which they came, for charts. Buckets begin at
- * multiples of `bucketTicks`, so a peak stays the same pair while it moves across the chart; only new samples are read.
+ * Minimum and maximum of each bucket of samples, in the order of their ticks, for charts. Buckets begin at multiples of
+ * `bucketTicks`, so a peak stays in the same bucket while it moves across the chart. An update reads only new samples.
  * A bucket without a value is null, which leaves a gap in the line.
  */
 export class Buckets {
-  /** Seconds since tick 0, two points a bucket. */
+  /** Seconds since tick 0, two points per bucket. */
   readonly time: number[];
   private readonly points = new Map<number, Point[]>();
   private readonly min: Float64Array;
@@ -16,8 +16,8 @@ export class Buckets {
   private readonly minAt: Float64Array;
   private readonly maxAt: Float64Array;
   private lastBucket = -1;
-  private next = 0;
-  private stale = true;
+  private nextTick = 0;
+  private outdated = true;
   private generation = -1;
 
   constructor(
@@ -27,13 +27,13 @@ export class Buckets {
     private readonly bucketTicks: number,
     private readonly bucketCount: number,
   ) {
-    this.time = new Array<number>(2 * bucketCount).fill(0);
-    for (const column of columns) this.points.set(column, new Array<Point>(2 * bucketCount).fill(null));
-    const most = Math.max(0, ...columns) + 1;
-    this.min = new Float64Array(most);
-    this.max = new Float64Array(most);
-    this.minAt = new Float64Array(most);
-    this.maxAt = new Float64Array(most);
+    this.time = Array.from({ length: 2 * bucketCount }, () => 0);
+    for (const column of columns) this.points.set(column, Array.from({ length: 2 * bucketCount }, () => null));
+    const columnCount = Math.max(0, ...columns) + 1;
+    this.min = new Float64Array(columnCount);
+    this.max = new Float64Array(columnCount);
+    this.minAt = new Float64Array(columnCount);
+    this.maxAt = new Float64Array(columnCount);
   }
 
   channel(column: number): Point[] {
@@ -42,54 +42,54 @@ export class Buckets {
     return points;
   }
 
-  /** Read everything again at the next update: older samples have changed. */
+  /** Reads all samples again at the next update, because older samples have changed. */
   invalidate(): void {
-    this.stale = true;
+    this.outdated = true;
   }
 
-  /** Folds in what came since the last update, up to the tick `end`. */
+  /** Adds the samples since the last update, up to the tick `end`. */
   update(end = this.ring.end): void {
     const windowTicks = this.bucketTicks * this.bucketCount;
-    const anew = this.stale || this.generation !== this.ring.generation;
-    if (anew || end < this.next || end - this.next > windowTicks) this.restart(end);
-    while (this.next < end) {
-      const bucket = Math.floor(this.next / this.bucketTicks);
+    const mustRestart = this.outdated || this.generation !== this.ring.generation;
+    if (mustRestart || end < this.nextTick || end - this.nextTick > windowTicks) this.restart(end);
+    while (this.nextTick < end) {
+      const bucket = Math.floor(this.nextTick / this.bucketTicks);
       if (bucket !== this.lastBucket) this.advanceTo(bucket);
       const stop = Math.min(end, (bucket + 1) * this.bucketTicks);
-      for (const column of this.points.keys()) this.fold(column, this.next, stop);
-      this.next = stop;
+      for (const column of this.points.keys()) this.merge(column, this.nextTick, stop);
+      this.nextTick = stop;
     }
   }
 
   private restart(end: number): void {
     const oldest = Math.floor(Math.max(0, end - 1) / this.bucketTicks) - this.bucketCount + 1;
-    this.next = Math.max(this.ring.start, oldest * this.bucketTicks);
-    this.lastBucket = Math.floor(this.next / this.bucketTicks) - this.bucketCount;
-    this.stale = false;
+    this.nextTick = Math.max(this.ring.start, oldest * this.bucketTicks);
+    this.lastBucket = Math.floor(this.nextTick / this.bucketTicks) - this.bucketCount;
+    this.outdated = false;
     this.generation = this.ring.generation;
   }
 
-  /** Shifts the window so that `bucket` is its last. */
+  /** Shifts the window so that `bucket` is its last one. */
   private advanceTo(bucket: number): void {
     const shift = 2 * Math.min(this.bucketCount, bucket - this.lastBucket);
-    const keep = 2 * this.bucketCount - shift;
+    const kept = 2 * this.bucketCount - shift;
     for (const points of this.points.values()) {
       points.copyWithin(0, shift);
-      points.fill(null, keep);
+      points.fill(null, kept);
     }
     this.time.copyWithin(0, shift);
-    for (let i = keep / 2; i < this.bucketCount; i++) this.stamp(i, bucket - this.bucketCount + 1 + i);
+    for (let i = kept / 2; i < this.bucketCount; i++) this.writeTimes(i, bucket - this.bucketCount + 1 + i);
     this.min.fill(Infinity);
     this.max.fill(-Infinity);
     this.lastBucket = bucket;
   }
 
-  private stamp(index: number, bucket: number): void {
+  private writeTimes(index: number, bucket: number): void {
     this.time[2 * index] = ((bucket + 0.25) * this.bucketTicks) / this.rateHz;
     this.time[2 * index + 1] = ((bucket + 0.75) * this.bucketTicks) / this.rateHz;
   }
 
-  private fold(channel: number, from: number, to: number): void {
+  private merge(channel: number, from: number, to: number): void {
     let min = this.min[channel] ?? Infinity;
     let max = this.max[channel] ?? -Infinity;
     for (let tick = from; tick < to; tick++) {

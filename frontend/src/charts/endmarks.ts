@@ -1,24 +1,24 @@
 import type uPlot from "uplot";
 import type { Trace } from "./traces";
 
-/** Room right of the plot for the letters, CSS pixels. */
+/** Room to the right of the plot for the letters, CSS pixels. */
 export const MARK_ROOM_PX = 36;
 const LINE_PX = 14;
 
-/** Face and ink of a trace's letters, as colours of the canvas; those of no tissue are written without a face. */
-export interface MarkColours {
-  face: string | null;
-  ink: string;
+/** Canvas colors of a trace's letters. Those of the tool's lines have no background. */
+export interface MarkColors {
+  background: string | null;
+  text: string;
 }
 
-/** Writes each trace's letters beside its newest point, so that colour is not the only thing that tells them apart. */
-export function drawEndMarks(chart: uPlot, traces: Trace[], colours: MarkColours[]): void {
+/** Writes each trace's letters beside its newest point, so that color is not the only difference between lines. */
+export function drawEndMarks(chart: uPlot, traces: Trace[], colors: MarkColors[]): void {
   const ratio = devicePixelRatio;
   const { left, top, width, height } = chart.bbox;
   const marks = traces
-    .map((trace, i) => ({ text: trace.mark, colours: colours[i], y: heightOfNewest(chart, i + 1) }))
+    .map((trace, i) => ({ text: trace.mark, colors: colors[i], y: heightOfNewest(chart, i + 1) }))
     .filter(({ text, y }) => text !== "" && y >= top && y <= top + height)
-    .sort((a, b) => a.y - b.y);
+    .toSorted((a, b) => a.y - b.y);
   spread(marks, LINE_PX * ratio, top, top + height);
   const context = chart.ctx;
   context.save();
@@ -31,17 +31,17 @@ export function drawEndMarks(chart: uPlot, traces: Trace[], colours: MarkColours
 
 function drawMark(
   context: CanvasRenderingContext2D,
-  { text, colours, y }: { text: string; colours: MarkColours | undefined; y: number },
+  { text, colors, y }: { text: string; colors: MarkColors | undefined; y: number },
   x: number,
   ratio: number,
 ): void {
-  if (!colours) return;
-  if (colours.face !== null) {
-    context.fillStyle = colours.face;
+  if (!colors) return;
+  if (colors.background !== null) {
+    context.fillStyle = colors.background;
     context.fillRect(x, y - 6.5 * ratio, context.measureText(text).width + 6 * ratio, 13 * ratio);
   }
-  context.fillStyle = colours.ink;
-  context.fillText(text, x + (colours.face === null ? 0 : 3 * ratio), y);
+  context.fillStyle = colors.text;
+  context.fillText(text, x + (colors.background === null ? 0 : 3 * ratio), y);
 }
 
 function heightOfNewest(chart: uPlot, series: number): number {
@@ -51,7 +51,7 @@ function heightOfNewest(chart: uPlot, series: number): number {
   return typeof newest === "number" ? chart.valToPos(newest, "y", true) : NaN;
 }
 
-/** Pushes marks apart, downwards first, then back up from the bottom. */
+/** Moves marks apart: downward first, then back up from the bottom edge. */
 function spread(marks: { y: number }[], gap: number, top: number, bottom: number): void {
   let floor = top;
   for (const mark of marks) {

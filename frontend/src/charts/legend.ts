@@ -1,7 +1,7 @@
 import { create, setAttribute } from "../dom";
 import type { PlotSpec, Trace } from "./traces";
 
-/** One button for each tissue, which hides its lines in every chart, and one for each line of the tool. */
+/** Buttons that hide lines: one per tissue for all charts, and one per line of the tool. */
 export class Legend {
   readonly hidden = new Set<string>();
 
@@ -15,7 +15,7 @@ export class Legend {
     this.box.replaceChildren(...[...tissues.values()].map((trace) => this.tissueButton(trace)));
   }
 
-  /** The lines of a chart that belong to the tool rather than to a tissue, for its heading. */
+  /** Creates the buttons for a chart's lines of the tool, which stand in its heading. */
   lines(spec: PlotSpec): HTMLElement[] {
     return spec.traces
       .filter((trace) => !trace.ofTissue)
@@ -28,7 +28,7 @@ export class Legend {
 
   private tissueButton(trace: Trace): HTMLButtonElement {
     const button = this.button(trace, trace.key, "legend-key");
-    setAttribute(button, "aria-label", trace.name); // on a narrow chart only the mark is shown
+    setAttribute(button, "aria-label", trace.name); // a narrow chart shows the mark only
     button.title = `Show or hide ${trace.name.toLowerCase()} in all charts`;
     button.append(create("span", "swatch", trace.mark), create("span", "legend-name", trace.name));
     return button;
@@ -37,7 +37,7 @@ export class Legend {
   private button(trace: Trace, key: string, className: string): HTMLButtonElement {
     const button = create("button", className);
     button.type = "button";
-    button.dataset.slot = trace.colour.replace(/^--(tissue|line)-/, "");
+    button.dataset.slot = trace.color.replace(/^--(tissue|line)-/, "");
     setAttribute(button, "aria-pressed", String(!this.hidden.has(key)));
     button.addEventListener("click", () => {
       const visible = this.hidden.delete(key);
@@ -49,5 +49,5 @@ export class Legend {
   }
 }
 
-/** What the legend calls a line: tissues by their name in all charts, the tool's lines by chart and name. */
+/** Returns the key under which the legend hides a line: the tissue's name, or chart and name for a line of the tool. */
 export const legendKey = (spec: PlotSpec, trace: Trace): string => (trace.ofTissue ? trace.key : `${spec.id} ${trace.key}`);

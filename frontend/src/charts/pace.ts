@@ -1,45 +1,45 @@
-/** Main-thread time for a picture above which the charts are drawn in two halves, and below which in one again, ms. */
-const TOO_MUCH_MS = 6;
-const LITTLE_MS = 2.5;
-const MEAN_KEEPS = 0.95;
+/** Time per repaint above which each repaint draws one half of the charts, and below which it draws all again, ms. */
+const SLOW_MS = 6;
+const FAST_MS = 2.5;
+const MEAN_WEIGHT = 0.95;
 
 /**
- * Whether this machine can draw all charts thirty times a second beside everything else. Where it cannot, every picture
- * draws one half of them, so that numbers, answers and alarms keep their pace.
+ * Measures whether this machine can draw all charts thirty times a second. If it cannot, each repaint draws one half of
+ * them, so that numbers, verdicts and alarms stay on time.
  */
 export class Pace {
-  halved = false;
-  private turn = 0;
-  private mean = 0;
+  drawsHalf = false;
+  private half = 0;
+  private meanMs = 0;
   private readonly channel = new MessageChannel();
   private began = 0;
 
   constructor() {
-    this.channel.port1.onmessage = () => this.took(performance.now() - this.began);
+    this.channel.port1.onmessage = () => this.addDuration(performance.now() - this.began);
   }
 
-  /** Call while a picture is being made: a message to the page itself comes back when layout and painting are done. */
+  /** Measures the time of a repaint. The page's message to itself comes back after layout and painting. */
   measure(began: number): void {
     this.began = began;
     this.channel.port2.postMessage(null);
   }
 
   close(): void {
-    this.channel.port1.close(); // an open one would keep all of this for good
+    this.channel.port1.close(); // an open port would keep this object in memory
   }
 
-  /** Whether the chart is drawn in this picture. */
-  draws(chart: number): boolean {
-    return !this.halved || chart % 2 === this.turn;
+  /** Whether this repaint draws the chart. */
+  shouldDraw(chart: number): boolean {
+    return !this.drawsHalf || chart % 2 === this.half;
   }
 
-  next(): void {
-    this.turn = 1 - this.turn;
+  nextPicture(): void {
+    this.half = 1 - this.half;
   }
 
-  private took(ms: number): void {
-    this.mean = MEAN_KEEPS * this.mean + (1 - MEAN_KEEPS) * ms;
-    if (this.mean > TOO_MUCH_MS) this.halved = true;
-    else if (this.mean < LITTLE_MS) this.halved = false;
+  private addDuration(ms: number): void {
+    this.meanMs = MEAN_WEIGHT * this.meanMs + (1 - MEAN_WEIGHT) * ms;
+    if (this.meanMs > SLOW_MS) this.drawsHalf = true;
+    else if (this.meanMs < FAST_MS) this.drawsHalf = false;
   }
 }

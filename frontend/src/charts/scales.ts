@@ -9,12 +9,12 @@ export interface VerticalScale {
   logarithmic: boolean;
   range: (dataMin: number | null, dataMax: number | null) => Range;
   label: (value: number) => string;
-  /** The value under the cursor. */
+  /** Formats the value under the cursor. */
   readout: (value: number) => string;
   splits?: (min: number, max: number) => number[];
 }
 
-/** From a little below zero to the next half newton above limit and data. */
+/** From just below zero to the next half newton above threshold and data. */
 const force = (hello: Hello): VerticalScale => ({
   logarithmic: false,
   range: (min, max) => [stepDown(Math.min(-0.1, min ?? 0), 0.1), stepUp(Math.max(hello.lowest_threshold_n, max ?? 0) * 1.06, 0.5)],
@@ -37,7 +37,7 @@ const probability: VerticalScale = {
   splits: () => [0, 0.25, 0.5, 0.75, 1],
 };
 
-/** Whole decades that hold the library and the estimates; estimates that run away leave the chart, not the scale. */
+/** Whole decades around the library and the estimates. Diverging estimates leave the chart; they do not stretch it. */
 const parameter = (hello: Hello, which: Parameter): VerticalScale => {
   const library = hello.library.tissues.map((tissue) => tissue[which]);
   const low = Math.min(...library);
@@ -60,8 +60,9 @@ export function verticalScale(chart: string, hello: Hello, which: Parameter): Ve
   return chart === "probability" ? probability : parameter(hello, which);
 }
 
-/** The scale as uPlot takes it. */
-export const asScale = (scale: VerticalScale): uPlot.Scale => ({
+/** Converts the scale to uPlot's form. */
+export const toUplotScale = (scale: VerticalScale): uPlot.Scale => ({
+  // oxlint-disable-next-line typescript/no-unsafe-enum-assignment -- uPlot's enum exists in its types only
   distr: scale.logarithmic ? 3 : 1,
   range: (_chart, min, max) => scale.range(min, max),
 });

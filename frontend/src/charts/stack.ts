@@ -1,9 +1,10 @@
 import "uplot/dist/uPlot.min.css";
 import type uPlot from "uplot";
-import { byId, setAttribute, setData, setHidden, setText } from "../dom";
+import { find, setAttribute, setData, setHidden, setText } from "../dom";
 import { NO_VALUE, fixed } from "../format";
 import type { Model } from "../live/model";
 import type { SampleRing } from "../live/ring";
+import type { Hello } from "../wire";
 import { Buckets } from "./buckets";
 import { Legend } from "./legend";
 import { Pace } from "./pace";
@@ -12,7 +13,7 @@ import { Strip } from "./strip";
 import { plotSpecs, type Parameter, type PlotSpec } from "./traces";
 import { View } from "./view";
 
-/** Pairs of points across a chart, about one a pixel; 500 cost half as much time again. */
+/** Buckets across a chart, about one per pixel; 500 take half as much time again. */
 const BUCKETS = 250;
 const CHARTS = ["force", "displacement", "probability", "parameter"];
 const PARAMETERS: Record<Parameter, string> = {
@@ -27,57 +28,61 @@ export class ChartStack {
   private buckets: Buckets | null = null;
   private view: View | null = null;
   private builtFor: { ring: SampleRing; channels: unknown } | null = null;
-  private drawn = "";
+  private drawnState = "";
   private pausedBefore = false;
-  private pressed = false;
+  private pointerDown = false;
   private parameter: Parameter = "alpha_n";
-  private readonly legend = new Legend(byId("legend"), (key, visible) =>
-    this.strips.forEach((strip) => strip.show(key, visible)),
-  );
+  private readonly legend: Legend;
   private readonly pace = new Pace();
-  private readonly scrub = byId<HTMLInputElement>("scrub-position");
+  private readonly scrub: HTMLInputElement;
 
-  constructor(private readonly model: Model) {
-    byId("pause").addEventListener("click", () => this.togglePause());
-    byId("zoom-in").addEventListener("click", () => this.zoom(0.5));
-    byId("zoom-out").addEventListener("click", () => this.zoom(2));
-    byId("zoom-reset").addEventListener("click", () => this.reset());
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {
+    this.scrub = find(root, "scrub-position", HTMLInputElement);
+    const show = (key: string, visible: boolean): void => this.strips.forEach((strip) => strip.show(key, visible));
+    this.legend = new Legend(find(root, "legend"), show);
+    find(root, "pause").addEventListener("click", () => this.togglePause());
+    find(root, "zoom-in").addEventListener("click", () => this.zoom(0.5));
+    find(root, "zoom-out").addEventListener("click", () => this.zoom(2));
+    find(root, "zoom-reset").addEventListener("click", () => this.reset());
     this.scrub.addEventListener("input", () => this.scrubTo(Number(this.scrub.value)));
     for (const button of this.parameterButtons()) {
-      button.addEventListener("click", () => this.choose(button.dataset.parameter as Parameter));
+      button.addEventListener("click", () => this.showParameter(button.dataset.parameter as Parameter));
     }
   }
 
-  /** Draws what is new, unless paused; the ring goes on filling meanwhile. */
+  /** Draws new samples. While paused, the ring goes on filling. */
   render(): void {
     const { ring, hello } = this.model;
-    setData(byId("charts"), "empty", String(ring === null || ring.isEmpty));
+    setData(find(this.root, "charts"), "empty", String(ring === null || ring.isEmpty));
     if (!ring || !hello) return;
     if (this.builtFor?.ring !== ring || this.builtFor.channels !== hello.channels) this.rebuild();
     const { view, buckets } = this;
     if (!view || !buckets || ring.isEmpty) return;
     const began = performance.now();
     const state = `${view.endTick} ${view.spanTicks} ${ring.generation}`;
-    if (state === this.drawn) return;
-    this.drawn = state;
+    if (state === this.drawnState) return;
+    this.drawnState = state;
     buckets.update(view.endTick);
     const toS = view.endTick / view.rateHz;
     const shown = { fromS: toS - view.spanTicks / view.rateHz, toS, nowS: view.nowTick / view.rateHz };
     this.strips.forEach((strip, i) => {
-      if (view.paused || this.pace.draws(i)) strip.draw(buckets, shown);
+      if (view.paused || this.pace.shouldDraw(i)) strip.draw(buckets, shown);
     });
-    this.pace.next();
+    this.pace.nextPicture();
     if (!view.paused) this.pace.measure(began);
     this.renderControls(view);
   }
 
-  /** Older samples have come in: read the ring again. */
+  /** Reads the ring again, because older samples have arrived. */
   historyChanged(): void {
     this.buckets?.invalidate();
-    this.drawn = "";
+    this.drawnState = "";
   }
 
-  /** Builds the charts anew: other channels, other parameter, other theme. */
+  /** Builds the charts again, after a change of channels, parameter or theme. */
   rebuild(): void {
     const { ring, hello } = this.model;
     if (!ring || !hello) return;
@@ -86,9 +91,9 @@ export class ChartStack {
     for (const strip of this.strips) strip.destroy();
     const specs = plotSpecs(this.model, this.parameter);
     this.legend.rebuild(specs);
-    this.strips = specs.map((spec) => this.strip(spec));
-    this.bucketsAnew();
-    setText(byId("parameter-unit"), PARAMETERS[this.parameter]);
+    this.strips = specs.map((spec) => this.makeStrip(spec, hello));
+    this.rebuildBuckets();
+    setText(find(this.root, "parameter-unit"), PARAMETERS[this.parameter]);
   }
 
   close(): void {
@@ -98,20 +103,20 @@ export class ChartStack {
 
   togglePause(): void {
     if (this.view?.paused) this.reset();
-    else this.look((view) => view.pause());
+    else this.changeView((view) => view.pause());
   }
 
-  /** Follow the tool again, ten seconds at a time. */
+  /** Follows the tool again, ten seconds at a time. */
   reset(): void {
-    this.look((view) => view.goOn());
+    this.changeView((view) => view.resume());
   }
 
-  /** Moves by a share of what is shown. */
-  move = (share: number): void => this.look((view) => view.move(share));
+  /** Moves by a share of the shown span. */
+  move = (share: number): void => this.changeView((view) => view.move(share));
 
-  zoom = (factor: number): void => this.look((view) => view.zoom(factor));
+  zoom = (factor: number): void => this.changeView((view) => view.zoom(factor));
 
-  choose(parameter: Parameter): void {
+  showParameter(parameter: Parameter): void {
     this.parameter = parameter;
     for (const button of this.parameterButtons()) {
       setAttribute(button, "aria-pressed", String(button.dataset.parameter === parameter));
@@ -119,34 +124,34 @@ export class ChartStack {
     this.rebuild();
   }
 
-  private look(change: (view: View) => void): void {
+  private changeView(change: (view: View) => void): void {
     if (!this.view) return;
     change(this.view);
-    this.bucketsAnew();
+    this.rebuildBuckets();
     this.renderControls(this.view);
   }
 
-  private bucketsAnew(): void {
+  private rebuildBuckets(): void {
     const { view } = this;
     if (!view || !this.builtFor) return;
     const traces = this.strips.flatMap((strip) => strip.traces);
     const columns = traces.flatMap(({ column, sdColumn }) => (sdColumn < 0 ? [column] : [column, sdColumn]));
     const bucketTicks = Math.max(1, Math.ceil(view.spanTicks / BUCKETS));
     this.buckets = new Buckets(this.builtFor.ring, [...new Set(columns)], view.rateHz, bucketTicks, BUCKETS + 1);
-    this.drawn = "";
+    this.drawnState = "";
   }
 
   private scrubTo(secondsBack: number): void {
-    this.look((view) => view.moveTo(view.nowTick + Math.round(secondsBack * view.rateHz)));
+    this.changeView((view) => view.moveTo(view.nowTick + Math.round(secondsBack * view.rateHz)));
   }
 
   private renderControls(view: View): void {
-    if (this.pressed) return; // a control that appears would move the chart under the pointer
-    setAttribute(byId("pause"), "aria-pressed", String(view.paused));
-    setText(byId("pause-text"), view.paused ? "Go on" : "Pause");
-    setData(byId("charts"), "paused", String(view.paused));
-    setHidden(byId("zoom-reset"), !view.changed);
-    setHidden(byId("scrub"), !view.paused);
+    if (this.pointerDown) return; // a control that appears would move the chart under the pointer
+    setAttribute(find(this.root, "pause"), "aria-pressed", String(view.paused));
+    setText(find(this.root, "pause-text"), view.paused ? "Go on" : "Pause");
+    setData(find(this.root, "charts"), "paused", String(view.paused));
+    setHidden(find(this.root, "zoom-reset"), !view.changed);
+    setHidden(find(this.root, "scrub"), !view.paused);
     if (!view.paused) return;
     const { first, last } = view.reach;
     setAttribute(this.scrub, "min", ((first - last) / view.rateHz).toFixed(2));
@@ -154,19 +159,19 @@ export class ChartStack {
     const back = (view.endTick - last) / view.rateHz;
     this.scrub.value = back.toFixed(2);
     const spanS = fixed(view.spanTicks / view.rateHz, 2, "s");
-    setText(byId("scrub-text"), back === 0 ? `${spanS} up to the pause` : `${spanS}, ending ${fixed(-back, 2, "s")} before the pause`);
+    setText(find(this.root, "scrub-text"), back === 0 ? `${spanS} up to the pause` : `${spanS}, ending ${fixed(-back, 2, "s")} before the pause`);
   }
 
   private parameterButtons(): HTMLButtonElement[] {
-    return [...byId("charts").querySelectorAll<HTMLButtonElement>("button[data-parameter]")];
+    return [...find(this.root, "charts").querySelectorAll<HTMLButtonElement>("button[data-parameter]")];
   }
 
-  private strip(spec: PlotSpec): Strip {
-    const scale = verticalScale(spec.id, this.model.hello!, this.parameter);
-    const readout = byId(`readout-${spec.id}`);
+  private makeStrip(spec: PlotSpec, hello: Hello): Strip {
+    const scale = verticalScale(spec.id, hello, this.parameter);
+    const readout = find(this.root, `readout-${spec.id}`);
     setText(readout, "");
-    byId(`lines-${spec.id}`).replaceChildren(...this.legend.lines(spec));
-    return new Strip(byId(`chart-${spec.id}`), {
+    find(this.root, `lines-${spec.id}`).replaceChildren(...this.legend.lines(spec));
+    return new Strip(find(this.root, `chart-${spec.id}`), {
       spec,
       scale,
       showTime: spec.id === CHARTS.at(-1),
@@ -174,26 +179,26 @@ export class ChartStack {
       onCursor: (chart) => setText(readout, this.readoutAt(chart, spec, scale.readout)),
       onPress: () => {
         this.pausedBefore = this.view?.paused ?? false;
-        this.pressed = true;
+        this.pointerDown = true;
         this.view?.pause();
       },
       onRelease: (marked) => {
-        this.pressed = false;
-        this.look((view) => {
+        this.pointerDown = false;
+        this.changeView((view) => {
           if (marked) view.show(marked.fromS * view.rateHz, marked.toS * view.rateHz);
-          else if (!this.pausedBefore) view.goOn();
+          else if (!this.pausedBefore) view.resume();
         });
       },
     });
   }
 
-  /** The values under the cursor, in words; empty while the cursor is elsewhere. */
-  private readoutAt(chart: uPlot, spec: PlotSpec, say: (value: number) => string): string {
+  /** Returns the values under the cursor as text; empty if the cursor is elsewhere. */
+  private readoutAt(chart: uPlot, spec: PlotSpec, format: (value: number) => string): string {
     const index = chart.cursor.idx;
     if (index === null || index === undefined || (chart.cursor.left ?? -1) < 0 || !this.view) return "";
     const values = spec.traces.map((trace, i) => {
       const value = chart.data[i + 1]?.[index];
-      return `${trace.mark || trace.name} ${typeof value === "number" ? say(value) : NO_VALUE}`;
+      return `${trace.mark || trace.name} ${typeof value === "number" ? format(value) : NO_VALUE}`;
     });
     const ago = this.view.nowTick / this.view.rateHz - (chart.data[0][index] ?? 0);
     return `−${ago.toFixed(2)} s: ${values.join(" · ")}`;

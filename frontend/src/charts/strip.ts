@@ -1,33 +1,33 @@
 import uPlot from "uplot";
-import { cssColour } from "../dom";
+import { cssColor } from "../dom";
 import { drawBands } from "./bands";
 import type { Buckets } from "./buckets";
-import { drawEndMarks, MARK_ROOM_PX, type MarkColours } from "./endmarks";
+import { drawEndMarks, MARK_ROOM_PX, type MarkColors } from "./endmarks";
 import { legendKey } from "./legend";
-import { asScale, type VerticalScale } from "./scales";
+import { toUplotScale, type VerticalScale } from "./scales";
 import type { PlotSpec, Trace } from "./traces";
 
 const TIME_LABELS = 6;
 const VALUES_PX = 46;
 const SHORTEST_DRAG_PX = 6;
-/** 1, 2 and 5 times the powers of ten, so that every label is a short number. */
+/** 1, 2 and 5 times powers of ten, for short labels. */
 const STEPS = [-5, -4, -3, -2, -1, 0, 1, 2].flatMap((exponent) => [1, 2, 5].map((digit) => digit * 10 ** exponent));
 const FONT = "12px system-ui, sans-serif";
 
 export interface StripOptions {
   spec: PlotSpec;
   scale: VerticalScale;
-  /** Only one chart of the stack writes the times. */
+  /** Whether this chart writes the time labels; only one of the stack does. */
   showTime: boolean;
   hidden: ReadonlySet<string>;
   onCursor: (chart: uPlot) => void;
-  /** The button went down: the lines must stand still while a stretch is marked. */
+  /** The pointer button went down. The lines must stand still while a time span is marked. */
   onPress: () => void;
-  /** The button came up; a stretch of time was marked, seconds since tick 0, or none. */
+  /** The pointer button came up. `marked` is the marked time span, seconds since tick 0; null if there is none. */
   onRelease: (marked: { fromS: number; toS: number } | null) => void;
 }
 
-/** The stretch of time that a chart shows, seconds since tick 0; `nowS` is what its labels count back from. */
+/** The time span that a chart shows, seconds since tick 0. Time labels count back from `nowS`. */
 export interface TimeWindow {
   fromS: number;
   toS: number;
@@ -51,7 +51,7 @@ export class Strip {
     this.chart.over.addEventListener("mousedown", () => {
       this.marked = null;
       options.onPress();
-      document.addEventListener("mouseup", () => setTimeout(() => options.onRelease(this.marked)), { once: true });
+      document.addEventListener("mouseup", () => void setTimeout(() => options.onRelease(this.marked)), { once: true });
     });
     this.sizes = new ResizeObserver(() => this.chart.setSize(this.size()));
     this.sizes.observe(box);
@@ -71,7 +71,7 @@ export class Strip {
     });
   }
 
-  /** Shows or hides the traces of a legend key. */
+  /** Shows or hides the traces that belong to a legend key. */
   show(key: string, visible: boolean): void {
     this.traces.forEach((trace, i) => {
       if (legendKey(this.options.spec, trace) === key) this.chart.setSeries(i + 1, { show: visible });
@@ -88,8 +88,8 @@ export class Strip {
       size: showTime ? 28 : 0,
       gap: 8,
       font: FONT,
-      stroke: cssColour("--text-dim"),
-      grid: { stroke: cssColour("--grid"), width: 1 },
+      stroke: cssColor("--text-dim"),
+      grid: { stroke: cssColor("--grid"), width: 1 },
       ticks: { show: false },
       splits: (_chart, _axis, min, max) => timesBack(this.nowS, min, max),
       values: (_chart, splits) => splits.map((s) => (showTime ? secondsBack(this.nowS - s) : "")),
@@ -102,20 +102,20 @@ export class Strip {
 
   private plotOptions(): uPlot.Options {
     const { spec, scale, showTime, hidden, onCursor } = this.options;
-    const marks = spec.traces.map(markColours);
-    const colours = spec.traces.map(({ colour }) => cssColour(colour)); // asking at each picture would cost a layout
-    const line = 1 / devicePixelRatio; // lines of two device pixels cost three times as much
+    const marks = spec.traces.map(markColors);
+    const colors = spec.traces.map(({ color }) => cssColor(color)); // reading them at each repaint would force a layout
+    const line = 1 / devicePixelRatio; // lines of two device pixels take three times as long to draw
     return {
       ...this.size(),
       padding: [8, MARK_ROOM_PX, showTime ? 0 : 4, 0],
       legend: { show: false },
       cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, sync: { key: "strips" } },
-      scales: { x: { time: false, auto: false }, y: asScale(scale) },
+      scales: { x: { time: false, auto: false }, y: toUplotScale(scale) },
       axes: [this.timeAxis(showTime), valueAxis(scale)],
       series: [
         {},
         ...spec.traces.map((trace, i) => ({
-          stroke: colours[i] ?? "",
+          stroke: colors[i] ?? "",
           width: line,
           dash: trace.dash,
           auto: trace.scaled,
@@ -124,7 +124,7 @@ export class Strip {
         })),
       ],
       hooks: {
-        drawAxes: [(chart) => this.buckets && drawBands(chart, spec.traces, colours, this.buckets)],
+        drawAxes: [(chart) => void (this.buckets && drawBands(chart, spec.traces, colors, this.buckets))],
         draw: [(chart) => drawEndMarks(chart, spec.traces, marks)],
         setCursor: [onCursor],
         setSelect: [
@@ -140,10 +140,10 @@ export class Strip {
   }
 }
 
-const markColours = ({ ofTissue, colour }: Trace): MarkColours =>
-  ofTissue ? { face: cssColour(colour), ink: cssColour(`${colour}-ink`) } : { face: null, ink: cssColour(colour) };
+const markColors = ({ ofTissue, color }: Trace): MarkColors =>
+  ofTissue ? { background: cssColor(color), text: cssColor(`${color}-ink`) } : { background: null, text: cssColor(color) };
 
-/** Round times before `nowS` that lie in the window. */
+/** Returns the round times before `nowS` within the window. */
 function timesBack(nowS: number, min: number, max: number): number[] {
   const step = STEPS.find((each) => (max - min) / each <= TIME_LABELS) ?? max - min;
   const first = Math.ceil((nowS - max) / step - 1e-6);
@@ -160,8 +160,8 @@ function valueAxis(scale: VerticalScale): uPlot.Axis {
     gap: 4,
     space: 26,
     font: FONT,
-    stroke: cssColour("--text-dim"),
-    grid: { stroke: cssColour("--grid"), width: 1 },
+    stroke: cssColor("--text-dim"),
+    grid: { stroke: cssColor("--grid"), width: 1 },
     ticks: { show: false },
     values: (_chart, values) => values.map((value) => (value === null ? "" : scale.label(value))),
     ...(splits ? { splits: (_chart, _axis, min, max) => splits(min, max) } : { incrs: STEPS }),

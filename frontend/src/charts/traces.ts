@@ -1,20 +1,20 @@
-import { looksOf, UNKNOWN_SLOT, type Look } from "../tissues";
+import { tissueStyles, UNKNOWN_SLOT, type TissueStyle } from "../tissues";
 import type { Model } from "../live/model";
 
-/** One line of a chart: which column, and how it is told from the others. */
+/** One line of a chart: its column and its look. */
 export interface Trace {
   column: number;
-  /** What it belongs to: a tissue, which the legend hides in every chart at once, or the tool. */
+  /** The tissue, whose lines the legend hides in all charts at once, or the name of a line of the tool. */
   key: string;
   ofTissue: boolean;
   name: string;
   mark: string;
-  /** CSS custom property of its colour. */
-  colour: string;
+  /** CSS custom property of its color. */
+  color: string;
   dash: number[];
-  /** Column of the SD of its logarithm, drawn as a band; -1 where there is none. */
+  /** Column of the SD of its logarithm, drawn as a band; -1 if there is none. */
   sdColumn: number;
-  /** Whether the vertical scale makes room for it: estimates may run away, measurements may not. */
+  /** Whether the vertical scale includes it. Estimates of force do not count, because they may diverge. */
   scaled: boolean;
 }
 
@@ -25,41 +25,41 @@ export interface PlotSpec {
   traces: Trace[];
 }
 
-const plain = (model: Model, channel: string, key: string, name: string, colour: string): Trace => ({
+const plain = (model: Model, channel: string, key: string, name: string, color: string): Trace => ({
   column: model.column(channel),
   key,
   ofTissue: false,
   name,
   mark: "",
-  colour,
+  color,
   dash: [],
   sdColumn: -1,
   scaled: true,
 });
 
-const ofTissue = (model: Model, channel: string, look: Look, scaled: boolean): Trace => ({
-  column: look.slot === UNKNOWN_SLOT ? model.column(`${channel}_unknown`) : model.column(channel, look.name),
-  key: look.name,
+const ofTissue = (model: Model, channel: string, style: TissueStyle, scaled: boolean): Trace => ({
+  column: style.slot === UNKNOWN_SLOT ? model.column(`${channel}_unknown`) : model.column(channel, style.name),
+  key: style.name,
   ofTissue: true,
-  name: look.title,
-  mark: look.mark,
-  colour: `--tissue-${look.slot}`,
+  name: style.title,
+  mark: style.mark,
+  color: `--tissue-${style.slot}`,
   dash: [],
   sdColumn: -1,
   scaled,
 });
 
-/** The SD of each parameter's logarithm. */
+/** Channel with the SD of each parameter's logarithm. */
 const SD_OF: Record<Parameter, string> = {
   alpha_n: "log_alpha_sd",
   beta_per_m: "log_beta_sd",
   damping_kg_per_s: "log_damping_sd",
 };
 
-/** The lines of the four charts, as far as the server's channels go. */
+/** Returns the lines of the four charts, for the channels that the server sends. */
 export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
-  const looks = looksOf(model.tissues);
-  const library = looks.filter((look) => look.slot !== UNKNOWN_SLOT);
+  const styles = tissueStyles(model.tissues);
+  const library = styles.filter((style) => style.slot !== UNKNOWN_SLOT);
   const limit = { ...plain(model, "limit_n", "limit", "limit", "--line-limit"), mark: "limit", dash: [6, 4] };
   const threshold = { ...plain(model, "threshold_n", "threshold", "alarm threshold", "--line-second"), dash: [2, 4] };
   const specs = [
@@ -67,7 +67,7 @@ export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
       id: "force",
       traces: [
         plain(model, "jaw_force_n", "raw", "unfiltered", "--line-raw"),
-        ...library.map((look) => ofTissue(model, "force_n", look, false)),
+        ...library.map((style) => ofTissue(model, "force_n", style, false)),
         plain(model, "jaw_force_filtered_n", "filtered", "filtered", "--line-measured"),
         threshold,
         limit,
@@ -81,12 +81,12 @@ export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
         { ...plain(model, "tissue_displacement_m", "tissue", "in tissue", "--line-second"), dash: [2, 3] },
       ],
     },
-    { id: "probability", traces: looks.map((look) => ofTissue(model, "probability", look, true)) },
+    { id: "probability", traces: styles.map((style) => ofTissue(model, "probability", style, true)) },
     {
       id: "parameter",
-      traces: library.map((look) => ({
-        ...ofTissue(model, parameter, look, true),
-        sdColumn: model.column(SD_OF[parameter], look.name),
+      traces: library.map((style) => ({
+        ...ofTissue(model, parameter, style, true),
+        sdColumn: model.column(SD_OF[parameter], style.name),
       })),
     },
   ];

@@ -1,15 +1,15 @@
 import type { SampleRing } from "../live/ring";
 
-/** What the charts show while they follow the tool. */
+/** Length of the view while the charts follow the tool. */
 export const LIVE_SPAN_S = 10;
 const SHORTEST_S = 0.05;
 
-/** Which stretch of the ring the charts show: the newest ten seconds, or one that a person has chosen. */
+/** Which part of the ring the charts show: the newest ten seconds, or a part that the person has chosen. */
 export class View {
-  /** Null while the charts follow the tool; else one past the last tick shown. */
-  private heldEnd: number | null = null;
+  /** One past the last tick shown while paused; null while the charts follow the tool. */
+  private pausedEnd: number | null = null;
   private span: number;
-  /** Newest tick when the person paused: what times count back from. */
+  /** Newest tick at the time of the pause. Time labels count back from it. */
   private pausedAt = 0;
   private generation = -1;
 
@@ -21,27 +21,27 @@ export class View {
   }
 
   get paused(): boolean {
-    return this.heldEnd !== null && this.generation === this.ring.generation;
+    return this.pausedEnd !== null && this.generation === this.ring.generation;
   }
 
   get changed(): boolean {
-    return this.paused && (this.heldEnd !== this.ring.end || this.span !== LIVE_SPAN_S * this.rateHz);
+    return this.paused && (this.pausedEnd !== this.ring.end || this.span !== LIVE_SPAN_S * this.rateHz);
   }
 
   get endTick(): number {
-    return this.paused ? (this.heldEnd ?? 0) : this.ring.end;
+    return this.paused ? (this.pausedEnd ?? 0) : this.ring.end;
   }
 
   get spanTicks(): number {
     return this.paused ? this.span : LIVE_SPAN_S * this.rateHz;
   }
 
-  /** What times count back from. */
+  /** The tick that time labels count back from. */
   get nowTick(): number {
     return this.paused ? this.pausedAt : this.ring.end;
   }
 
-  /** Oldest and newest end that there are samples for. */
+  /** Smallest and largest value of `endTick` for which there are samples. */
   get reach(): { first: number; last: number } {
     const last = this.paused ? this.pausedAt : this.ring.end;
     return { first: Math.min(this.ring.start + this.spanTicks, last), last };
@@ -50,15 +50,15 @@ export class View {
   pause(): void {
     if (this.paused) return;
     this.generation = this.ring.generation;
-    this.pausedAt = this.heldEnd = this.ring.end;
+    this.pausedAt = this.pausedEnd = this.ring.end;
     this.span = LIVE_SPAN_S * this.rateHz;
   }
 
-  goOn(): void {
-    this.heldEnd = null;
+  resume(): void {
+    this.pausedEnd = null;
   }
 
-  /** Shows the stretch between two ticks. */
+  /** Shows the ticks between two ticks. */
   show(from: number, to: number): void {
     this.pause();
     this.span = Math.max(SHORTEST_S * this.rateHz, Math.round(to - from));
@@ -68,20 +68,20 @@ export class View {
   moveTo(end: number): void {
     this.pause();
     const { first, last } = this.reach;
-    this.heldEnd = Math.min(Math.max(end, first), last);
+    this.pausedEnd = Math.min(Math.max(end, first), last);
   }
 
-  /** Moves by a share of what is shown, to the past where negative. */
+  /** Moves by a share of the shown span; a negative share moves to the past. */
   move(share: number): void {
     this.pause();
     this.moveTo(this.endTick + Math.round(share * this.span));
   }
 
-  /** Shows more (factor above 1) or less around the middle. */
+  /** Zooms around the middle. A factor above 1 shows more. */
   zoom(factor: number): void {
     this.pause();
-    const most = this.pausedAt - this.ring.start;
-    const span = Math.min(this.span * factor, Math.max(most, SHORTEST_S * this.rateHz));
+    const ticksHeld = this.pausedAt - this.ring.start;
+    const span = Math.min(this.span * factor, Math.max(ticksHeld, SHORTEST_S * this.rateHz));
     const middle = this.endTick - this.span / 2;
     this.show(middle - span / 2, middle + span / 2);
   }

@@ -2,10 +2,10 @@ import type { FrameReceived, ReplayControl, ServerMessage } from "../wire";
 import { decodeFrame, type Frame } from "./frame";
 
 const FIRST_RETRY_MS = 250;
-/** The close code of a server that cannot show what was asked for: asking again changes nothing. */
-const REFUSED = 1008;
+/** Close code of a server that cannot show the requested recording: a retry would not help. */
+const POLICY_VIOLATION = 1008;
 const LONGEST_RETRY_MS = 2000;
-/** The server speaks at least once a second; a connection this silent is dead though nobody closed it. */
+/** The server sends at least once a second. After this silence the connection counts as lost, even if still open. */
 const SILENT_AFTER_MS = 4000;
 
 export interface Listener {
@@ -14,14 +14,14 @@ export interface Listener {
   onConnected(connected: boolean): void;
 }
 
-/** A WebSocket to the live stream or to a replay, opened again and again until it holds. */
+/** A WebSocket to the live stream or to a replay. It reconnects until `close`. */
 export class Connection {
   private socket: WebSocket | null = null;
   private retryMs = FIRST_RETRY_MS;
-  private heardMs = 0;
+  private lastMessageMs = 0;
 
-  private watch = 0;
-  private retry = 0;
+  private silenceTimer = 0;
+  private retryTimer = 0;
 
   constructor(
     private readonly path: string,
@@ -30,13 +30,13 @@ export class Connection {
 
   start(): void {
     this.open();
-    this.watch = window.setInterval(() => this.dropIfSilent(), 1000);
+    this.silenceTimer = window.setInterval(() => this.dropIfSilent(), 1000);
   }
 
-  /** Leave for good. */
+  /** Closes the connection for good. */
   close(): void {
-    clearInterval(this.watch);
-    clearTimeout(this.retry);
+    clearInterval(this.silenceTimer);
+    clearTimeout(this.retryTimer);
     const socket = this.socket;
     this.socket = null;
     if (!socket) return;
@@ -44,7 +44,7 @@ export class Connection {
     socket.close();
   }
 
-  /** False when there is no connection to send on. */
+  /** Sends a message. Returns false if there is no connection. */
   send(message: ReplayControl): boolean {
     if (this.socket?.readyState !== WebSocket.OPEN) return false;
     this.socket.send(JSON.stringify(message));
@@ -57,14 +57,14 @@ export class Connection {
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
-    this.heardMs = performance.now();
+    this.lastMessageMs = performance.now();
     socket.onmessage = (event) => this.receive(socket, event.data);
-    socket.onclose = ({ code }) => this.lost(socket, code);
+    socket.onclose = ({ code }) => this.onLost(socket, code);
   }
 
   private receive(socket: WebSocket, data: unknown): void {
     const now = performance.now();
-    this.heardMs = now;
+    this.lastMessageMs = now;
     if (data instanceof ArrayBuffer) {
       const frame = decodeFrame(data);
       const answer: FrameReceived = { type: "received", sequence: frame.sequence };
@@ -81,17 +81,17 @@ export class Connection {
   }
 
   private dropIfSilent(): void {
-    if (this.socket && performance.now() - this.heardMs > SILENT_AFTER_MS) this.lost(this.socket);
+    if (this.socket && performance.now() - this.lastMessageMs > SILENT_AFTER_MS) this.onLost(this.socket);
   }
 
-  private lost(socket: WebSocket, code = 0): void {
+  private onLost(socket: WebSocket, code = 0): void {
     if (socket !== this.socket) return;
     this.socket = null;
     socket.onmessage = socket.onclose = null;
     socket.close();
     this.listener.onConnected(false);
-    if (code === REFUSED) return;
-    this.retry = window.setTimeout(() => this.open(), this.retryMs);
+    if (code === POLICY_VIOLATION) return;
+    this.retryTimer = window.setTimeout(() => this.open(), this.retryMs);
     this.retryMs = Math.min(this.retryMs * 2, LONGEST_RETRY_MS);
   }
 }

@@ -1,6 +1,6 @@
 import { FRAME } from "../wire";
 
-/** Samples of consecutive ticks, one Float32Array a channel in the order of `Hello.channels`; NaN is "no value". */
+/** Samples of consecutive ticks: one array per channel, in the order of `Hello.channels`. NaN is a missing value. */
 export interface Frame {
   history: boolean;
   sequence: number;
@@ -10,9 +10,9 @@ export interface Frame {
   columns: Float32Array[];
 }
 
-const MAGIC = [...FRAME.magic].map((char) => char.charCodeAt(0));
+const MAGIC = Array.from(FRAME.magic, (char) => char.charCodeAt(0));
 
-/** Reads one binary frame without copying its samples. Throws when it is not one. */
+/** Decodes a binary frame without copying its samples. Throws if the bytes are no frame. */
 export function decodeFrame(buffer: ArrayBuffer): Frame {
   if (buffer.byteLength < FRAME.header_bytes) throw new Error(`frame of ${buffer.byteLength} bytes has no header`);
   const view = new DataView(buffer);

@@ -3,28 +3,28 @@ export const LOST_AFTER_MS = 1000;
 
 export type Freshness = "waiting" | "live" | "old" | "lost";
 
-/** How old what the page shows is, by the page's own clock, whatever the server or the network do. */
+/** Measures the age of the shown data by the page's own clock, independent of server and network. */
 export class FreshnessWatch {
   private dataAt: number | null = null;
   private waitingSince: number;
-  private blind: { from: number; forMs: number } | null = null;
+  private outage: { from: number; forMs: number } | null = null;
 
   constructor(nowMs: number) {
     this.waitingSince = nowMs;
   }
 
-  /** A frame came whose newest sample was `lagMs` old. */
+  /** Records a frame whose newest sample is `lagMs` old. */
   frameArrived(nowMs: number, lagMs: number): void {
     const at = nowMs - Math.max(0, Number.isFinite(lagMs) ? lagMs : 0);
     const gap = this.dataAt === null ? 0 : at - this.dataAt;
     if (this.dataAt !== null && gap > LOST_AFTER_MS && nowMs - at <= LOST_AFTER_MS) {
-      this.blind = { from: this.dataAt, forMs: gap };
+      this.outage = { from: this.dataAt, forMs: gap };
     }
     this.dataAt = at;
   }
 
-  /** No data are due yet: the tool is still starting. */
-  nothingDue(nowMs: number): void {
+  /** Records that no data are expected yet, because the tool is still starting. */
+  expectNoData(nowMs: number): void {
     this.waitingSince = nowMs;
   }
 
@@ -43,10 +43,10 @@ export class FreshnessWatch {
     return this.dataAt !== null;
   }
 
-  /** The last time without data, once: when it began (page time) and how long it was. */
-  takeBlindTime(): { from: number; forMs: number } | null {
-    const blind = this.blind;
-    this.blind = null;
-    return blind;
+  /** Returns the last time without data once: its start in page time and its length. Null if there was none. */
+  takeOutage(): { from: number; forMs: number } | null {
+    const outage = this.outage;
+    this.outage = null;
+    return outage;
   }
 }

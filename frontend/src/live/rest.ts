@@ -16,35 +16,35 @@ import type {
   StopRequest,
 } from "../wire";
 
-const PATIENCE_MS = 5000;
-const STOP_PATIENCE_MS = 2000;
-const READING_MS = 60_000;
+const TIMEOUT_MS = 5000;
+const STOP_TIMEOUT_MS = 2000;
+const READING_TIMEOUT_MS = 60_000;
 const UNAUTHORIZED = 401;
 const SESSION = "/api/session";
 const CONTROL = "/api/control";
 
-let tellUnknown = (): void => {};
+let notifySignedOut = (): void => {};
 
-/** Calls `then` whenever the server does not know who asks. */
-export const onUnknown = (then: () => void): void => void (tellUnknown = then);
+/** Sets the function to call when the server answers that the sign-in is missing or no longer valid. */
+export const onSignedOut = (then: () => void): void => void (notifySignedOut = then);
 
-/** The server said no, in words meant for the person. */
+/** The server refused the request. The message is meant for the person. */
 export class Refused extends Error {}
 
-/** Nobody answered. */
+/** The server did not answer. */
 export class Unreachable extends Error {}
 
-/** What went wrong, in words. */
+/** Returns the text of an error. */
 export const messageOf = (error: unknown): string => (error instanceof Error ? error.message : String(error));
 
-export const getJson = <Answer>(path: string): Promise<Answer> => ask("GET", path, PATIENCE_MS);
+export const getJson = <Answer>(path: string): Promise<Answer> => fetchJson("GET", path, TIMEOUT_MS);
 
-export const postJson = <Answer>(path: string, body?: unknown): Promise<Answer> => ask("POST", path, PATIENCE_MS, body);
+export const postJson = <Answer>(path: string, body?: unknown): Promise<Answer> => fetchJson("POST", path, TIMEOUT_MS, body);
 
-export const deletePath = (path: string): Promise<null> => ask("DELETE", path, PATIENCE_MS);
+export const deletePath = (path: string): Promise<null> => fetchJson("DELETE", path, TIMEOUT_MS);
 
-/** Takes as long as the reading of a calibration does. */
-export const takeReading = <Answer>(): Promise<Answer> => ask("POST", "/api/calibration/reading", READING_MS);
+/** Takes one reading of a calibration, which lasts several seconds. */
+export const takeReading = <Answer>(): Promise<Answer> => fetchJson("POST", "/api/calibration/reading", READING_TIMEOUT_MS);
 
 export const getProtocols = (): Promise<ProtocolInfo[]> => getJson("/api/protocols");
 
@@ -56,7 +56,7 @@ export const disarm = (by: string | null): Promise<SafetyReport> => postJson("/a
 
 export const sendStop = (by: string | null): Promise<StopAnswer> => {
   const request: StopRequest = { by };
-  return ask("POST", "/api/stop", STOP_PATIENCE_MS, request);
+  return fetchJson("POST", "/api/stop", STOP_TIMEOUT_MS, request);
 };
 
 export const acknowledgeAlarm = (id: string, priority: Priority, by: string): Promise<Alarm> => {
@@ -80,25 +80,25 @@ export const takeControl = (): Promise<ControlInfo> => {
 
 export const giveControlBack = (): Promise<null> => deletePath(CONTROL);
 
-async function ask<Answer>(method: string, path: string, patienceMs: number, body?: unknown): Promise<Answer> {
+async function fetchJson<Answer>(method: string, path: string, timeoutMs: number, body?: unknown): Promise<Answer> {
   let response: Response;
   try {
     response = await fetch(path, {
       method,
       cache: "no-store",
-      signal: AbortSignal.timeout(patienceMs),
+      signal: AbortSignal.timeout(timeoutMs),
       ...(body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } }),
     });
     if (response.ok) return (response.status === 204 ? null : await response.json()) as Answer;
   } catch (error) {
     const timedOut = error instanceof DOMException && error.name === "TimeoutError";
-    throw new Unreachable(timedOut ? `no answer within ${patienceMs / 1000} s` : "the server cannot be reached");
+    throw new Unreachable(timedOut ? `no answer within ${timeoutMs / 1000} s` : "the server cannot be reached");
   }
-  if (response.status === UNAUTHORIZED && path !== SESSION) tellUnknown();
-  throw new Refused(await inWords(response));
+  if (response.status === UNAUTHORIZED && path !== SESSION) notifySignedOut();
+  throw new Refused(await problemText(response));
 }
 
-async function inWords(response: Response): Promise<string> {
+async function problemText(response: Response): Promise<string> {
   const isProblem = response.headers.get("Content-Type")?.includes("problem+json");
   const problem = isProblem ? ((await response.json().catch(() => null)) as Partial<Problem> | null) : null;
   if (!problem) return `the server answered ${response.status} ${response.statusText}`.trim();

@@ -1,11 +1,11 @@
 import type { Frame } from "./frame";
 
-/** The last minutes of every channel at the full rate, addressed by absolute tick. */
+/** The newest samples of every channel at the full rate, addressed by tick. */
 export class SampleRing {
   private readonly columns: Float32Array[];
   private first = 0;
   private next = 0;
-  private begun = 0;
+  private restarts = 0;
 
   constructor(
     channelCount: number,
@@ -24,9 +24,9 @@ export class SampleRing {
     return this.next;
   }
 
-  /** How often the ticks began anew. */
+  /** How often the ring was emptied, because the ticks started again or a gap was too long. */
   get generation(): number {
-    return this.begun;
+    return this.restarts;
   }
 
   get isEmpty(): boolean {
@@ -42,13 +42,13 @@ export class SampleRing {
     return this.at(channel, this.next - 1);
   }
 
-  /** Takes a frame in. Ticks that never came become NaN; a clock that went back begins anew. */
+  /** Adds a frame. Missing ticks become NaN. If the ticks go back, the ring starts again. */
   write(frame: Frame): void {
     const end = frame.firstTick + frame.rows;
     if (frame.rows === 0) return;
-    if (this.isEmpty || this.wentBack(frame) || frame.firstTick - this.next >= this.capacity) {
+    if (this.isEmpty || this.ticksWentBack(frame) || frame.firstTick - this.next >= this.capacity) {
       this.first = this.next = frame.firstTick;
-      this.begun += 1;
+      this.restarts += 1;
     }
     this.fillGap(frame.firstTick);
     const skip = Math.max(0, frame.rows - this.capacity);
@@ -60,8 +60,8 @@ export class SampleRing {
     this.first = Math.max(Math.min(this.first, frame.firstTick), end - this.capacity);
   }
 
-  /** Only history may overlap what is here; it does when the page comes back, and then it ends later. */
-  private wentBack(frame: Frame): boolean {
+  /** Whether the ticks went back. History may overlap the ring, but then it ends later. */
+  private ticksWentBack(frame: Frame): boolean {
     return frame.history ? frame.firstTick + frame.rows < this.next : frame.firstTick < this.next;
   }
 

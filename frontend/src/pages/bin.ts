@@ -1,45 +1,46 @@
-import { byId, create, setHidden, setText } from "../dom";
+import { create, find, setHidden, setText } from "../dom";
 import { bytes } from "../format";
 import { deletePath, messageOf, postJson } from "../live/rest";
 import type { Person } from "../shell/person";
 import type { BinContent, BinnedRecording } from "../wire";
-import { askFirst, onSinglePress } from "./confirm";
+import { confirmFirst, onSinglePress } from "./confirm";
 import { Polled } from "./polled";
 import { dateTime, headCell, moment, Rows, type Row } from "./rows";
 
 const EVERY_MS = 10_000;
 
-/** Deleted recordings: what they are, until when they can come back, and making room for good. */
+/** Lists deleted recordings, with buttons to restore one and to remove all for good. */
 export class BinSection {
   private readonly rows: Rows<BinnedRecording>;
   private readonly polled: Polled<BinContent>;
 
-  /** `changed` hears that a recording came back, and `told` why something was not done. */
+  /** `onChange` is called after every change. `onResult` gets the reason if one failure, else null. */
   constructor(
+    private readonly root: HTMLElement,
     private readonly person: Person,
-    private readonly changed: () => void,
-    private readonly told: (text: string | null) => void,
+    private readonly onChange: () => void,
+    private readonly onResult: (text: string | null) => void,
   ) {
-    this.rows = new Rows(byId("bin-body"), ({ entry }) => entry, (recording) => this.makeRow(recording));
-    const empty = byId<HTMLButtonElement>("bin-empty");
-    byId("bin-confirm").append(askFirst(empty, "Remove all of these for good?", "Remove for good", () => this.empty()));
-    this.polled = new Polled({ path: "/api/bin", what: "The bin", section: byId("bin"), take: (content) => this.take(content) });
+    this.rows = new Rows(find(root, "bin-body"), ({ entry }) => entry, (recording) => this.makeRow(recording));
+    const empty = find(root, "bin-empty", HTMLButtonElement);
+    find(root, "bin-confirm").append(confirmFirst(empty, "Remove all of these for good?", "Remove for good", () => this.empty()));
+    this.polled = new Polled({ path: "/api/bin", title: "The bin", section: find(root, "bin"), onAnswer: (content) => this.onAnswer(content) });
   }
 
-  now(): void {
-    this.polled.now();
+  refresh(): void {
+    this.polled.refresh();
   }
 
   close(): void {
     this.polled.close();
   }
 
-  private take({ recordings, size_bytes: size, keep_days: days }: BinContent): number {
+  private onAnswer({ recordings, size_bytes: size, keep_days: days }: BinContent): number {
     const none = recordings.length === 0;
     this.rows.show(recordings);
-    setText(byId("bin-note"), `What is deleted stays here for ${days} days, and takes room on the disk as long.`);
-    setText(byId("bin-count"), none ? "Nothing is in the bin." : `${recordings.length} in the bin, ${bytes(size)}`);
-    for (const id of ["bin-box", "bin-tools"]) setHidden(byId(id), none);
+    setText(find(this.root, "bin-note"), `What is deleted stays here for ${days} days, and takes room on the disk as long.`);
+    setText(find(this.root, "bin-count"), none ? "Nothing is in the bin." : `${recordings.length} in the bin, ${bytes(size)}`);
+    for (const id of ["bin-box", "bin-tools"]) setHidden(find(this.root, id), none);
     return EVERY_MS;
   }
 
@@ -56,7 +57,7 @@ export class BinSection {
     onSinglePress(restore, () => {
       this.person.withName((who) => {
         const path = `/api/bin/${encodeURIComponent(entry)}/restore?by=${encodeURIComponent(who)}`;
-        this.does(postJson(path), `${name} was not restored`);
+        this.run(postJson(path), `${name} was not restored`);
       });
     });
     what.append(create("span", "", name));
@@ -67,15 +68,15 @@ export class BinSection {
 
   private empty(): void {
     this.person.withName((who) => {
-      this.does(deletePath(`/api/bin?by=${encodeURIComponent(who)}`), "The bin was not emptied");
+      this.run(deletePath(`/api/bin?by=${encodeURIComponent(who)}`), "The bin was not emptied");
     });
   }
 
-  private does(asked: Promise<unknown>, failed: string): void {
-    asked.then(
-      () => this.told(null),
-      (error: unknown) => this.told(`${failed}: ${messageOf(error)}`),
+  private run(request: Promise<unknown>, failure: string): void {
+    request.then(
+      () => this.onResult(null),
+      (error: unknown) => this.onResult(`${failure}: ${messageOf(error)}`),
     );
-    void asked.catch(() => undefined).then(() => (this.now(), this.changed()));
+    void request.catch(() => undefined).then(() => (this.refresh(), this.onChange()));
   }
 }

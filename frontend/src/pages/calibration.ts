@@ -1,4 +1,4 @@
-import { byId, create, fill, setAttribute, setHidden, setText } from "../dom";
+import { create, fill, find, setAttribute, setHidden, setText } from "../dom";
 import { NO_VALUE } from "../format";
 import { deletePath, messageOf, postJson, takeReading } from "../live/rest";
 import { showHints } from "../shell/hints";
@@ -15,60 +15,61 @@ const EVERY_MS = 3000;
 const WHILE_READING_MS = 500;
 const DIGITS = 5;
 
-interface Way {
-  /** Of the list that is asked for; none where there is a single reading. */
+interface Procedure {
+  /** The list of values to ask for; none if there is a single reading. */
   values?: { name: string; usual: string; unit: string };
   moves: boolean;
-  todo: (value: number) => string;
+  instruction: (value: number) => string;
 }
 
-const WAYS: Record<CalibrationKind, Way> = {
+const PROCEDURES: Record<CalibrationKind, Procedure> = {
   tare: {
     moves: false,
-    todo: () => "Leave the jaws open and empty, and let nothing pull on the tool. It is read for ten seconds.",
+    instruction: () => "Leave the jaws open and empty, and let nothing pull on the tool. It is read for ten seconds.",
   },
   strain: {
     values: { name: "Pulls on the handle in their order, N", usual: "0, 2, 4, 6, 8, 10, 5, 0", unit: "N" },
     moves: false,
-    todo: (value) => (value ? `Hang a pull of ${value} N on the handle, and let it come to rest.` : "Hang nothing on the handle."),
+    instruction: (value) => (value ? `Hang a pull of ${value} N on the handle, and let it come to rest.` : "Hang nothing on the handle."),
   },
-  stretch: { moves: true, todo: () => "Empty the jaws. They close with half a volt for a quarter of a minute: let nobody be near." },
+  stretch: { moves: true, instruction: () => "Empty the jaws. They close with half a volt for a quarter of a minute: let nobody be near." },
   geometry: {
     values: { name: "Gauges between the jaws, mm", usual: "0, 2, 4, 6, 8", unit: "mm" },
     moves: true,
-    todo: (value) =>
+    instruction: (value) =>
       `${value ? `Put the gauge of ${value} mm between the jaws.` : "Leave the jaws empty."} They close with half a volt: let nobody be near.`,
   },
 };
 
-/** Guides through the calibrations of the tool: what to do, each reading, the fit, and where it was written. */
+/** Guides through a calibration of the tool: instructions, readings, the fit, and the file it was written to. */
 export class CalibrationPage implements Page {
+  private readonly root: HTMLElement;
   private readonly what: HTMLSelectElement;
   private readonly values: HTMLInputElement;
-  private readonly take: HTMLButtonElement;
+  private readonly readButton: HTMLButtonElement;
   private readonly polled: Polled<Calibration>;
-  private shown = "";
+  private shownState = "";
 
   constructor(
     box: HTMLElement,
     private readonly person: Person,
   ) {
-    fill(box, markup);
-    showHints(box);
-    this.what = byId<HTMLSelectElement>("calibrate-what");
-    this.values = byId<HTMLInputElement>("calibrate-values");
-    this.take = byId<HTMLButtonElement>("reading-take");
-    byId<HTMLInputElement>("calibrate-person").value = this.person.name ?? "";
+    this.root = fill(box, markup);
+    showHints(this.root);
+    this.what = find(this.root, "calibrate-what", HTMLSelectElement);
+    this.values = find(this.root, "calibrate-values", HTMLInputElement);
+    this.readButton = find(this.root, "reading-take", HTMLButtonElement);
+    find(this.root, "calibrate-person", HTMLInputElement).value = this.person.name ?? "";
     this.what.addEventListener("change", () => this.describe());
     this.describe();
-    byId("calibrate-form").addEventListener("submit", (event) => {
+    find(this.root, "calibrate-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.begin();
     });
-    this.take.addEventListener("click", () => void this.read());
-    byId("reading-abandon").addEventListener("click", () => void this.abandon());
-    const section = byId("calibration");
-    this.polled = new Polled({ path: PATH, what: "The calibration", section, take: (answer) => this.show(answer) });
+    this.readButton.addEventListener("click", () => void this.sendReading());
+    find(this.root, "reading-abandon").addEventListener("click", () => void this.abandon());
+    const section = find(this.root, "calibration");
+    this.polled = new Polled({ path: PATH, title: "The calibration", section, onAnswer: (answer) => this.show(answer) });
   }
 
   render(): void {}
@@ -78,94 +79,94 @@ export class CalibrationPage implements Page {
   }
 
   private describe(): void {
-    const { values } = WAYS[this.what.value as CalibrationKind];
-    setHidden(byId("calibrate-values-field"), !values);
+    const { values } = PROCEDURES[this.what.value as CalibrationKind];
+    setHidden(find(this.root, "calibrate-values-field"), !values);
     if (!values) return;
-    setText(byId("calibrate-values-name"), values.name);
+    setText(find(this.root, "calibrate-values-name"), values.name);
     this.values.value = values.usual;
   }
 
   private async begin(): Promise<void> {
     const what = this.what.value as CalibrationKind;
-    const numbers = WAYS[what].values ? this.values.value.split(/[\s,;]+/).filter(Boolean).map(Number) : [];
+    const numbers = PROCEDURES[what].values ? this.values.value.split(/[\s,;]+/).filter(Boolean).map(Number) : [];
     if (numbers.some(Number.isNaN)) {
-      this.say("Not begun: write numbers with commas between.", "failed");
+      this.showMessage("Not begun: write numbers with commas between.", "failed");
       return;
     }
-    const person = byId<HTMLInputElement>("calibrate-person").value.trim();
-    const days = Number(byId<HTMLInputElement>("calibrate-days").value);
+    const person = find(this.root, "calibrate-person", HTMLInputElement).value.trim();
+    const days = Number(find(this.root, "calibrate-days", HTMLInputElement).value);
     const request: CalibrationRequest = { what, values: numbers, person: person || null, valid_days: days };
     try {
       this.show(await postJson<Calibration>(PATH, request));
-      this.say("Begun: do what stands beside, then take the reading.", "done");
+      this.showMessage("Begun: do what stands beside, then take the reading.", "done");
     } catch (error) {
-      this.say(`Not begun: ${messageOf(error)}`, "failed");
+      this.showMessage(`Not begun: ${messageOf(error)}`, "failed");
     }
   }
 
-  private async read(): Promise<void> {
-    if (this.take.ariaBusy === "true") return;
-    setAttribute(this.take, "aria-busy", "true");
-    setText(byId("reading-problem"), "");
-    this.say("", "done");
+  private async sendReading(): Promise<void> {
+    if (this.readButton.ariaBusy === "true") return;
+    setAttribute(this.readButton, "aria-busy", "true");
+    setText(find(this.root, "reading-problem"), "");
+    this.showMessage("", "done");
     try {
       this.show(await takeReading<Calibration>());
     } catch (error) {
-      setText(byId("reading-problem"), messageOf(error));
+      setText(find(this.root, "reading-problem"), messageOf(error));
     } finally {
-      setAttribute(this.take, "aria-busy", "false");
+      setAttribute(this.readButton, "aria-busy", "false");
     }
-    this.polled.now();
+    this.polled.refresh();
   }
 
   private async abandon(): Promise<void> {
     try {
       await deletePath(PATH);
     } catch (error) {
-      setText(byId("reading-problem"), messageOf(error));
+      setText(find(this.root, "reading-problem"), messageOf(error));
     }
-    this.polled.now();
+    this.polled.refresh();
   }
 
   private show(state: Calibration): number {
-    const again = state.reading ? WHILE_READING_MS : EVERY_MS;
-    const seen = JSON.stringify(state);
-    if (seen === this.shown) return again;
-    this.shown = seen;
+    const nextRequestMs = state.reading ? WHILE_READING_MS : EVERY_MS;
+    const newState = JSON.stringify(state);
+    if (newState === this.shownState) return nextRequestMs;
+    this.shownState = newState;
     const { what, values, readings, reading, problem, result } = state;
-    setHidden(byId("reading-none"), what !== null);
-    setHidden(byId("reading-box"), what === null);
-    setHidden(byId("fit-card"), result === null);
-    if (what === null) return again;
-    const way = WAYS[what];
+    setHidden(find(this.root, "reading-none"), what !== null);
+    setHidden(find(this.root, "reading-box"), what === null);
+    setHidden(find(this.root, "fit-card"), result === null);
+    if (what === null) return nextRequestMs;
+    const procedure = PROCEDURES[what];
     const next = values[readings.length];
-    const left = next !== undefined;
+    const hasNext = next !== undefined;
     const number = values.length > 1 ? `${readings.length + 1} of ${values.length}: ` : "";
-    setText(byId("reading-do"), left ? number + way.todo(next) : result ? "All is read, and written." : "All is read. Begin again.");
-    setHidden(this.take, !left);
-    setHidden(byId("reading-abandon"), result !== null);
-    setText(this.take, reading ? "Reading…" : way.moves ? "Close the jaws and read" : "Read");
-    setText(byId("reading-problem"), problem ?? "");
-    setHidden(byId("reading-table"), readings.length === 0);
-    setText(byId("reading-value-name"), way.values ? way.values.unit : "Reading");
-    byId("reading-body").replaceChildren(
+    setText(find(this.root, "reading-do"), hasNext ? number + procedure.instruction(next) : result ? "All is read, and written." : "All is read. Begin again.");
+    setHidden(this.readButton, !hasNext);
+    setHidden(find(this.root, "reading-abandon"), result !== null);
+    setText(this.readButton, reading ? "Reading…" : procedure.moves ? "Close the jaws and read" : "Read");
+    setText(find(this.root, "reading-problem"), problem ?? "");
+    setHidden(find(this.root, "reading-table"), readings.length === 0);
+    setText(find(this.root, "reading-value-name"), procedure.values ? procedure.values.unit : "Reading");
+    find(this.root, "reading-body").replaceChildren(
       ...readings.map(({ value, strain_v, encoder_deg }, n) =>
-        row(way.values ? String(value) : String(n + 1), strain_v.toFixed(4), encoder_deg.toFixed(1)),
+        row(procedure.values ? String(value) : String(n + 1), strain_v.toFixed(4), encoder_deg.toFixed(1)),
       ),
     );
-    if (result) showResult(result);
-    return again;
+    if (result) showResult(this.root, result);
+    return nextRequestMs;
   }
 
-  private say(text: string, outcome: "done" | "failed"): void {
-    const message = byId("calibrate-message");
+  private showMessage(text: string, outcome: "done" | "failed"): void {
+    const message = find(this.root, "calibrate-message");
     message.dataset.outcome = outcome;
     setText(message, text);
   }
 }
 
-function showResult({ constants, remarks, file, ...points }: CalibrationResult): void {
-  byId("fit-body").replaceChildren(
+function showResult(root: HTMLElement, { constants, remarks, file, ...points }: CalibrationResult): void {
+  find(root, "fit-body").replaceChildren(
     ...constants.map((each) =>
       row(
         each.key,
@@ -176,9 +177,9 @@ function showResult({ constants, remarks, file, ...points }: CalibrationResult):
       ),
     ),
   );
-  setText(byId("fit-remarks"), remarks.join(" "));
-  setText(byId("fit-file"), file);
-  plot(byId("fit-plot") as unknown as SVGElement, points);
+  setText(find(root, "fit-remarks"), remarks.join(" "));
+  setText(find(root, "fit-file"), file);
+  plot(find(root, "fit-plot", SVGSVGElement), points);
 }
 
 const digits = (value: number): string => Number(value.toPrecision(DIGITS)).toString();

@@ -3,7 +3,7 @@ import { headCell } from "./rows";
 
 type Values = Record<string, unknown>;
 
-/** A file's keys and values: single ones in a table, each of its own tables behind a line that opens. */
+/** Shows a configuration: single values in a table, each nested table in a section that opens. */
 export function configuration(values: Values): HTMLElement[] {
   const entries = Object.entries(values);
   const single = entries.filter(([, value]) => !isTable(value));
@@ -35,7 +35,8 @@ function tableOf(entries: [string, unknown][]): HTMLTableElement {
 
 function inWords(value: unknown): string {
   if (value === null) return "not set";
-  return Array.isArray(value) ? value.map(inWords).join(", ") : String(value);
+  if (Array.isArray(value)) return value.map(inWords).join(", ");
+  return typeof value === "string" ? value : JSON.stringify(value);
 }
 
 const isTable = (value: unknown): value is Values => typeof value === "object" && value !== null && !Array.isArray(value);

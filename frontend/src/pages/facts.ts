@@ -1,6 +1,6 @@
 import { create, setText } from "../dom";
 
-/** Fills a `<dl class="facts">`; what stays the same is not touched. */
+/** Fills a `<dl class="facts">`, and changes only texts that differ. */
 export function showFacts(list: HTMLElement, facts: Record<string, string>): void {
   const entries = Object.entries(facts);
   if (list.childElementCount !== entries.length) list.replaceChildren(...entries.map(emptyGroup));

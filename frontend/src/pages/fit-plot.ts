@@ -6,7 +6,7 @@ const TICKS = 5;
 
 type Points = Pick<CalibrationResult, "axes" | "x" | "y" | "line_x" | "line_y">;
 
-/** Readings as dots and their fit as a line, with axes. */
+/** Draws readings as dots and their fit as a line, with axes. */
 export function plot(svg: SVGElement, { axes, x, y, line_x, line_y }: Points): void {
   const across = scale([...x, ...line_x], BOX.left, BOX.right);
   const up = scale([...y, ...line_y], BOX.bottom, BOX.top);

@@ -1,43 +1,44 @@
-import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
 import type { JournalCheck, JournalEntry, JournalKind } from "../wire";
 import { Polled } from "./polled";
 import { day, moment, Rows, timeOfDay, type Row } from "./rows";
 
 const EVERY_MS = 5000;
 const CHECKED_EVERY_MS = 30_000;
-const MOST = 200;
+const MAX_ENTRIES = 200;
 const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged", deleted: "Deleted", restored: "Restored", emptied: "Removed", request: "Request", chain: "Chain", access: "Access" };
 
 type Choice = JournalKind | "all";
 
-/** What happened and who did it, newest first, of one kind or of all. */
+/** Lists who did what and when, newest first, filtered by kind. */
 export class Journal {
   private readonly polled: Polled<JournalEntry[]>;
-  private readonly chain: Polled<JournalCheck>;
-  private readonly rows = new Rows(byId("journal-body"), (entry: JournalEntry) => JSON.stringify(entry), makeRow);
+  private readonly chainCheck: Polled<JournalCheck>;
+  private readonly rows: Rows<JournalEntry>;
   private readonly buttons = new Map<Choice, HTMLButtonElement>();
   private entries: JournalEntry[] = [];
   private choice: Choice = "all";
 
-  constructor() {
+  constructor(private readonly root: HTMLElement) {
+    this.rows = new Rows(find(root, "journal-body"), (entry) => JSON.stringify(entry), makeRow);
     for (const [choice, text] of Object.entries({ all: "All", ...KIND }) as [Choice, string][]) {
       const button = create("button", "", text);
       button.type = "button";
       button.addEventListener("click", () => this.choose(choice));
       this.buttons.set(choice, button);
     }
-    byId("journal-kinds").replaceChildren(...this.buttons.values());
-    const [path, section] = [`/api/journal?most=${MOST}`, byId("journal")];
-    this.polled = new Polled({ path, what: "The journal", section, take: (entries) => this.take(entries) });
-    this.chain = new Polled({ path: "/api/audit/check", what: "Whether it is whole", section: byId("chain"), take: showChain });
+    find(root, "journal-kinds").replaceChildren(...this.buttons.values());
+    const [path, section] = [`/api/journal?most=${MAX_ENTRIES}`, find(root, "journal")];
+    this.polled = new Polled({ path, title: "The journal", section, onAnswer: (entries) => this.onEntries(entries) });
+    this.chainCheck = new Polled({ path: "/api/audit/check", title: "Whether it is whole", section: find(root, "chain"), onAnswer: (check) => showChain(root, check) });
   }
 
   close(): void {
     this.polled.close();
-    this.chain.close();
+    this.chainCheck.close();
   }
 
-  private take(entries: JournalEntry[]): number {
+  private onEntries(entries: JournalEntry[]): number {
     this.entries = entries;
     this.show();
     return EVERY_MS;
@@ -52,18 +53,18 @@ export class Journal {
     const shown = this.entries.filter(({ kind }) => this.choice === "all" || kind === this.choice);
     this.rows.show(shown);
     for (const [choice, button] of this.buttons) setAttribute(button, "aria-pressed", String(choice === this.choice));
-    const newest = this.entries.length === MOST ? `the newest ${MOST}` : String(this.entries.length);
-    setText(byId("journal-count"), `${shown.length} of ${newest}`);
-    setHidden(byId("journal-box"), shown.length === 0);
-    setHidden(byId("journal-empty"), shown.length > 0);
-    setText(byId("journal-empty"), this.entries.length === 0 ? "Nothing has happened yet." : "No line of this kind.");
+    const newest = this.entries.length === MAX_ENTRIES ? `the newest ${MAX_ENTRIES}` : String(this.entries.length);
+    setText(find(this.root, "journal-count"), `${shown.length} of ${newest}`);
+    setHidden(find(this.root, "journal-box"), shown.length === 0);
+    setHidden(find(this.root, "journal-empty"), shown.length > 0);
+    setText(find(this.root, "journal-empty"), this.entries.length === 0 ? "Nothing has happened yet." : "No line of this kind.");
   }
 }
 
-function showChain({ problem, notes, lines, checked_at }: JournalCheck): number {
+function showChain(root: HTMLElement, { problem, notes, lines, checked_at }: JournalCheck): number {
   const found = problem === null ? `Whole: ${lines} lines, none changed or missing.` : `Not as it was written: ${problem}.`;
-  setText(byId("chain-found"), [found, ...notes.map((note) => `Note: ${note}.`), `Checked ${timeOfDay(checked_at)}.`].join(" "));
-  setData(byId("chain-found"), "warn", String(problem !== null));
+  setText(find(root, "chain-found"), [found, ...notes.map((note) => `Note: ${note}.`), `Checked ${timeOfDay(checked_at)}.`].join(" "));
+  setData(find(root, "chain-found"), "warn", String(problem !== null));
   return CHECKED_EVERY_MS;
 }
 
@@ -74,8 +75,8 @@ function makeRow(entry: JournalEntry): Row<JournalEntry> {
   const value = valueInWords(entry);
   const facts = [KIND[entry.kind], entry.by, value].filter(Boolean).join(" · ");
   what.append(create("small", "narrow", facts));
-  const asked = [entry.reason, entry.client && `from ${entry.client}`].filter(Boolean).join(" · ");
-  if (asked) what.append(create("small", "", asked));
+  const origin = [entry.reason, entry.client && `from ${entry.client}`].filter(Boolean).join(" · ");
+  if (origin) what.append(create("small", "", origin));
   element.append(time, kind, what, create("td", "roomy", entry.by ?? ""), create("td", "number roomy", value));
   return { element };
 }

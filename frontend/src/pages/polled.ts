@@ -4,30 +4,30 @@ import { getJson, messageOf, Refused } from "../live/rest";
 
 const AFTER_FAILURE_MS = 3000;
 
-export interface Subject<Answer> {
+export interface PolledOptions<Answer> {
   path: string;
-  /** In a sentence: "The list". */
-  what: string;
-  /** Gets `data-state`: loading, ready, failed, or old when only an earlier answer is shown. Has a `.state-line`. */
+  /** Subject of a sentence: "The list". */
+  title: string;
+  /** Gets `data-state`: loading, ready, failed, or old if it shows an earlier answer. Contains a `.state-line`. */
   section: HTMLElement;
-  /** Shows an answer and returns after how many milliseconds to ask again. */
-  take: (answer: Answer) => number;
+  /** Shows an answer, and returns the time until the next request, ms. */
+  onAnswer: (answer: Answer) => number;
 }
 
-/** Keeps a section up to date: asks, waits after each answer, asks again; says so where it cannot. */
+/** Keeps a section up to date by repeated requests, and says so when one fails. */
 export class Polled<Answer> {
   private readonly line: Element | null;
   private timer = 0;
   private latest = 0;
   private answeredMs: number | null = null;
 
-  constructor(private readonly subject: Subject<Answer>) {
-    this.line = subject.section.querySelector(".state-line");
+  constructor(private readonly options: PolledOptions<Answer>) {
+    this.line = options.section.querySelector(".state-line");
     void this.ask();
   }
 
-  /** Asks at once; whatever was asked before is out of date. */
-  now(): void {
+  /** Asks at once. The answer to an earlier request is ignored. */
+  refresh(): void {
     clearTimeout(this.timer);
     void this.ask();
   }
@@ -38,25 +38,25 @@ export class Polled<Answer> {
   }
 
   private async ask(): Promise<void> {
-    const asked = ++this.latest;
+    const attempt = ++this.latest;
     let answer: Answer;
     try {
-      answer = await getJson<Answer>(this.subject.path);
+      answer = await getJson<Answer>(this.options.path);
     } catch (error) {
-      if (asked === this.latest) this.fail(error);
+      if (attempt === this.latest) this.fail(error);
       return;
     }
-    if (asked !== this.latest) return;
+    if (attempt !== this.latest) return;
     this.answeredMs = performance.now();
-    this.say("ready", "");
-    this.askAfter(this.subject.take(answer));
+    this.showState("ready", "");
+    this.askAfter(this.options.onAnswer(answer));
   }
 
   private fail(error: unknown): void {
     const how = error instanceof Refused ? "cannot be read, the server says" : "cannot be read";
     const old = this.answeredMs === null ? "" : ` What stands here is from ${clockTime(this.answeredMs)}.`;
     const why = messageOf(error).replace(/\.$/, "");
-    this.say(this.answeredMs === null ? "failed" : "old", `${this.subject.what} ${how}: ${why}. Trying again.${old}`);
+    this.showState(this.answeredMs === null ? "failed" : "old", `${this.options.title} ${how}: ${why}. Trying again.${old}`);
     this.askAfter(AFTER_FAILURE_MS);
   }
 
@@ -64,8 +64,8 @@ export class Polled<Answer> {
     this.timer = window.setTimeout(() => void this.ask(), ms);
   }
 
-  private say(state: "ready" | "failed" | "old", text: string): void {
-    setData(this.subject.section, "state", state);
+  private showState(state: "ready" | "failed" | "old", text: string): void {
+    setData(this.options.section, "state", state);
     if (this.line) setText(this.line, text);
   }
 }

@@ -1,4 +1,4 @@
-import { byId, create, fill, setAttribute, setHidden, setText } from "../dom";
+import { create, fill, find, setAttribute, setHidden, setText } from "../dom";
 import { bytes, duration, NO_VALUE } from "../format";
 import { showHints } from "../shell/hints";
 import type { KeyAction } from "../shell/keys";
@@ -17,11 +17,12 @@ const WHILE_READING_MS = 2000;
 
 type Column = "name" | "modified_at" | "duration_s" | "size_bytes";
 
-/** The recordings folder: find one, watch it again, download it. */
+/** Lists the recordings folder: find, replay, download or delete a recording. */
 export class RecordingsPage implements Page {
   readonly keys: KeyAction[] = [
-    { key: "/", shown: "/", does: "Find a recording by its name", run: () => this.filter.focus() },
+    { key: "/", label: "/", description: "Find a recording by its name", run: () => this.filter.focus() },
   ];
+  private readonly root: HTMLElement;
   private readonly filter: HTMLInputElement;
   private readonly rows: Rows<RecordingInfo>;
   private readonly polled: Polled<Recordings>;
@@ -31,18 +32,18 @@ export class RecordingsPage implements Page {
   private descending = true;
 
   constructor(
-    private readonly box: HTMLElement,
+    box: HTMLElement,
     person: Person,
   ) {
-    fill(box, markup);
-    showHints(box);
-    this.filter = byId<HTMLInputElement>("recordings-filter");
+    this.root = fill(box, markup);
+    showHints(this.root);
+    this.filter = find(this.root, "recordings-filter", HTMLInputElement);
     this.filter.addEventListener("input", () => this.show());
     for (const button of this.sortButtons()) button.addEventListener("click", () => this.sortBy(button.dataset.column as Column));
-    this.rows = new Rows(byId("recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.tell(text))));
-    const section = byId("recordings");
-    this.polled = new Polled({ path: "/api/recordings", what: "The list", section, take: (answer) => this.take(answer) });
-    this.bin = new BinSection(person, () => this.polled.now(), (text) => this.showTold(text));
+    this.rows = new Rows(find(this.root, "recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.onDeleted(text))));
+    const section = find(this.root, "recordings");
+    this.polled = new Polled({ path: "/api/recordings", title: "The list", section, onAnswer: (answer) => this.onAnswer(answer) });
+    this.bin = new BinSection(this.root, person, () => this.polled.refresh(), (text) => this.showProblem(text));
   }
 
   render(): void {}
@@ -52,21 +53,21 @@ export class RecordingsPage implements Page {
     this.bin.close();
   }
 
-  /** Why something was not deleted; null: it was. */
-  private tell(text: string | null): void {
-    this.showTold(text);
-    this.polled.now();
-    this.bin.now();
+  /** Updates the lists after a deletion. `text` is the reason if it failed, else null. */
+  private onDeleted(text: string | null): void {
+    this.showProblem(text);
+    this.polled.refresh();
+    this.bin.refresh();
   }
 
-  private showTold(text: string | null): void {
-    setText(byId("recordings-told"), text ?? "");
-    setHidden(byId("recordings-told"), text === null);
+  private showProblem(text: string | null): void {
+    setText(find(this.root, "recordings-told"), text ?? "");
+    setHidden(find(this.root, "recordings-told"), text === null);
   }
 
-  private take({ folder, recordings }: Recordings): number {
+  private onAnswer({ folder, recordings }: Recordings): number {
     this.recordings = recordings;
-    for (const place of this.box.querySelectorAll(".recordings-folder")) setText(place, folder);
+    for (const place of this.root.querySelectorAll(".recordings-folder")) setText(place, folder);
     this.show();
     return recordings.some(isBeingRead) ? WHILE_READING_MS : EVERY_MS;
   }
@@ -74,22 +75,22 @@ export class RecordingsPage implements Page {
   private show(): void {
     const words = this.filter.value.toLowerCase().split(/\s+/);
     const found = this.recordings.filter(({ name }) => words.every((word) => name.toLowerCase().includes(word)));
-    this.rows.show(found.sort((a, b) => compare(a, b, this.column, this.descending)));
+    this.rows.show(found.toSorted((a, b) => compare(a, b, this.column, this.descending)));
     const [none, all] = [this.recordings.length === 0, this.recordings.length];
-    setText(byId("recordings-count"), found.length === all ? `${all} of ${all}` : `${found.length} of ${all}`);
-    setText(byId("recordings-no-match"), `No name contains “${this.filter.value.trim()}”.`);
-    setHidden(byId("recordings-empty"), !none);
-    setHidden(byId("recordings-tools"), none);
-    setHidden(byId("recordings-where"), none);
-    setHidden(byId("recordings-box"), found.length === 0);
-    setHidden(byId("recordings-no-match"), none || found.length > 0);
+    setText(find(this.root, "recordings-count"), found.length === all ? `${all} of ${all}` : `${found.length} of ${all}`);
+    setText(find(this.root, "recordings-no-match"), `No name contains “${this.filter.value.trim()}”.`);
+    setHidden(find(this.root, "recordings-empty"), !none);
+    setHidden(find(this.root, "recordings-tools"), none);
+    setHidden(find(this.root, "recordings-where"), none);
+    setHidden(find(this.root, "recordings-box"), found.length === 0);
+    setHidden(find(this.root, "recordings-no-match"), none || found.length > 0);
     for (const button of this.sortButtons()) {
       const order = button.dataset.column !== this.column ? "none" : this.descending ? "descending" : "ascending";
       if (button.parentElement) setAttribute(button.parentElement, "aria-sort", order);
     }
   }
 
-  /** The same column again turns the order round; names begin with the first, numbers and times with the largest. */
+  /** Sorts by a column; the same one again reverses the order. Names start ascending, all else descending. */
   private sortBy(column: Column): void {
     this.descending = column === this.column ? !this.descending : column !== "name";
     this.column = column;
@@ -97,13 +98,13 @@ export class RecordingsPage implements Page {
   }
 
   private sortButtons(): HTMLButtonElement[] {
-    return [...this.box.querySelectorAll<HTMLButtonElement>("button[data-column]")];
+    return [...this.root.querySelectorAll<HTMLButtonElement>("button[data-column]")];
   }
 }
 
 const isBeingRead = ({ duration_s: known, problem }: RecordingInfo): boolean => known === null && problem === null;
 
-/** What is not known comes last, either way. */
+/** Compares two recordings by a column. Unknown values come last in both orders. */
 function compare(a: RecordingInfo, b: RecordingInfo, column: Column, descending: boolean): number {
   const [first, second] = [a[column], b[column]];
   if (first === null || second === null) return Number(first === null) - Number(second === null);
@@ -155,14 +156,14 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement, question: HTMLEle
   return { element, update };
 }
 
-/** What was recorded: protocol, what it was said to hold, by whom. */
+/** Describes the run: protocol, tissue as entered, person. */
 function runInWords({ protocol, tissue, by, whole, run_id: runId }: RecordingInfo): string {
   if (runId === null) return "";
   const words = [protocol, tissue?.replaceAll("_", " "), by === null ? null : `by ${by}`];
   return [...words, whole ? null : "not whole: being recorded, or cut off"].filter(Boolean).join(" · ");
 }
 
-/** The file's name stands above it already. */
+/** Returns why a recording cannot be replayed, without the file name, which the row shows already. */
 function problemInWords({ name, problem }: RecordingInfo): string {
   if (problem === null) return "";
   const why = problem.startsWith(name) ? problem.slice(name.length).replace(/^[,:]?\s*/, "") : problem;
@@ -174,7 +175,7 @@ function lengthInWords(recording: RecordingInfo): string {
   return isBeingRead(recording) ? "reading…" : NO_VALUE;
 }
 
-/** Without an address it is plain text, and the keyboard passes it by. */
+/** Sets or removes a link's address. Without one it is plain text, which the keyboard skips. */
 function setLink(link: HTMLAnchorElement, href: string | null): void {
   if (href === null) {
     link.removeAttribute("href");

@@ -1,4 +1,4 @@
-import { byId, create, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { fixed, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import type { KeyAction } from "../shell/keys";
@@ -7,106 +7,109 @@ import type { ReplayControl } from "../wire";
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10];
 const JUMP_S = 2;
 const SEEK_EVERY_MS = 150;
-/** A jump to a grasp begins a little before it. */
+/** A jump to a grasp ends this long before it, s. */
 const LEAD_S = 0.3;
 
-/** Play, pause, seek and speed of a recording, and what was an alarm in it. */
+/** Controls a replay: play, pause, seek and speed. Also lists the alarms of the recording. */
 export class ReplayBar {
   readonly keys: KeyAction[];
-  private readonly position = byId<HTMLInputElement>("replay-position");
-  private readonly speed = byId<HTMLSelectElement>("replay-speed");
-  private told = "";
+  private readonly position: HTMLInputElement;
+  private readonly speed: HTMLSelectElement;
+  private notice = "";
   private dragging = false;
   private seeking = false;
 
   constructor(
+    private readonly root: HTMLElement,
     private readonly model: Model,
     name: string,
-    private readonly ask: (wanted: ReplayControl) => boolean,
+    private readonly sendControl: (control: ReplayControl) => boolean,
   ) {
-    setHidden(byId("replay-bar"), false);
-    setData(byId("watch"), "replay", "true");
-    setHidden(byId("protocol-panel"), true);
-    setText(byId("watch-title"), `Replay of ${name}`);
-    setText(byId("replay-name"), name);
-    setText(byId("grasps-heading"), "Grasps so far");
+    this.position = find(root, "replay-position", HTMLInputElement);
+    this.speed = find(root, "replay-speed", HTMLSelectElement);
+    setHidden(find(root, "replay-bar"), false);
+    setData(root, "replay", "true");
+    setHidden(find(root, "protocol-panel"), true);
+    setText(find(root, "watch-title"), `Replay of ${name}`);
+    setText(find(root, "replay-name"), name);
+    setText(find(root, "grasps-heading"), "Grasps so far");
     this.speed.replaceChildren(...SPEEDS.map((speed) => new Option(`${speed} ×`, String(speed), speed === 1, speed === 1)));
-    byId("replay-play").addEventListener("click", () => this.toggle());
-    byId("replay-previous").addEventListener("click", () => this.toGrasp(-1));
-    byId("replay-next").addEventListener("click", () => this.toGrasp(1));
-    this.speed.addEventListener("change", () => this.want({ speed: Number(this.speed.value) }));
+    find(root, "replay-play").addEventListener("click", () => this.toggle());
+    find(root, "replay-previous").addEventListener("click", () => this.toGrasp(-1));
+    find(root, "replay-next").addEventListener("click", () => this.toGrasp(1));
+    this.speed.addEventListener("change", () => this.send({ speed: Number(this.speed.value) }));
     this.position.addEventListener("input", () => {
       this.dragging = true;
       this.seekSoon();
     });
     this.position.addEventListener("change", () => {
       this.dragging = false;
-      this.want({ position_s: Number(this.position.value) });
+      this.send({ position_s: Number(this.position.value) });
     });
     this.keys = [
-      { key: " ", shown: "Space", does: "Replay: play or pause", run: () => this.toggle() },
-      { key: ",", shown: ",", does: `Replay: ${JUMP_S} s back`, run: () => this.jump(-JUMP_S) },
-      { key: ".", shown: ".", does: `Replay: ${JUMP_S} s forward`, run: () => this.jump(JUMP_S) },
-      { key: "[", shown: "[", does: "Replay: the grasp before", run: () => this.toGrasp(-1) },
-      { key: "]", shown: "]", does: "Replay: the next grasp", run: () => this.toGrasp(1) },
+      { key: " ", label: "Space", description: "Replay: play or pause", run: () => this.toggle() },
+      { key: ",", label: ",", description: `Replay: ${JUMP_S} s back`, run: () => this.jump(-JUMP_S) },
+      { key: ".", label: ".", description: `Replay: ${JUMP_S} s forward`, run: () => this.jump(JUMP_S) },
+      { key: "[", label: "[", description: "Replay: the grasp before", run: () => this.toGrasp(-1) },
+      { key: "]", label: "]", description: "Replay: the next grasp", run: () => this.toGrasp(1) },
     ];
   }
 
-  /** Why a recording cannot be shown, or what happened in it. */
-  tell(text: string): void {
-    this.told = text;
+  /** Sets the text beside the controls: the last event, or why the recording cannot be shown. */
+  showNotice(text: string): void {
+    this.notice = text;
   }
 
   render(): void {
     const { replay, connected } = this.model;
     const ready = replay !== null && replay.prepared >= 1;
-    for (const id of ["replay-play", "replay-previous", "replay-next", "replay-position", "replay-speed"]) {
-      const control = byId<HTMLButtonElement>(id);
+    const buttons = ["replay-play", "replay-previous", "replay-next"].map((id) => find(this.root, id, HTMLButtonElement));
+    for (const control of [...buttons, this.position, this.speed]) {
       if (control.disabled === ready) control.disabled = !ready;
     }
-    setText(byId("replay-note"), this.note(connected, ready));
+    setText(find(this.root, "replay-note"), this.noteText(connected, ready));
     if (!replay || !ready) return;
     const length = replay.duration_s ?? 0;
-    setText(byId("replay-play"), replay.playing ? "Pause" : "Play");
+    setText(find(this.root, "replay-play"), replay.playing ? "Pause" : "Play");
     setAttribute(this.position, "max", String(length));
     if (document.activeElement !== this.speed) this.speed.value = String(replay.speed);
     if (!this.dragging) this.position.value = replay.position_s.toFixed(2);
-    setText(byId("replay-time"), `${fixed(replay.position_s, 1, "s")} of ${fixed(length, 1, "s")}`);
+    setText(find(this.root, "replay-time"), `${fixed(replay.position_s, 1, "s")} of ${fixed(length, 1, "s")}`);
     this.renderAlarms();
   }
 
-  private note(connected: boolean, ready: boolean): string {
-    if (ready) return this.told;
+  private noteText(connected: boolean, ready: boolean): string {
+    if (ready) return this.notice;
     const { replay } = this.model;
-    if (this.told !== "") return `This recording cannot be shown. ${this.told}`;
+    if (this.notice !== "") return `This recording cannot be shown. ${this.notice}`;
     if (!connected && !replay) return "Opening the recording…";
     return `Preparing the recording: ${wholePercent(replay?.prepared ?? 0)} estimated.`;
   }
 
-  /** They were alarms then: shown here, without a sound and beside the tool's own. */
+  /** Lists alarms of the recording. They sound no alarm and stay apart from the live tool's. */
   private renderAlarms(): void {
     const texts = [...this.model.alarms.values()].filter(({ active }) => active).map(({ priority, text }) => `In the recording, ${priority}: ${text}`);
-    const box = byId("replay-alarms");
+    const box = find(this.root, "replay-alarms");
     if (box.textContent !== texts.join("")) box.replaceChildren(...texts.map((text) => create("li", "", text)));
   }
 
-  /** While the slider is dragged, a few times a second: each jump sends ten seconds of samples. */
+  /** Limits how often dragging the slider seeks: each seek transfers ten seconds of samples. */
   private seekSoon(): void {
     if (this.seeking) return;
     this.seeking = true;
     setTimeout(() => {
       this.seeking = false;
-      if (this.dragging) this.want({ position_s: Number(this.position.value) });
+      if (this.dragging) this.send({ position_s: Number(this.position.value) });
     }, SEEK_EVERY_MS);
   }
 
   private toggle(): void {
-    this.want({ playing: !(this.model.replay?.playing ?? false) });
+    this.send({ playing: !(this.model.replay?.playing ?? false) });
   }
 
   private jump(seconds: number): void {
     const at = (this.model.replay?.position_s ?? 0) + seconds;
-    this.want({ position_s: Math.min(Math.max(0, at), this.model.replay?.duration_s ?? 0) });
+    this.send({ position_s: Math.min(Math.max(0, at), this.model.replay?.duration_s ?? 0) });
   }
 
   private toGrasp(direction: 1 | -1): void {
@@ -115,10 +118,10 @@ export class ReplayBar {
     const starts = replay.grasps.map((at) => Math.max(0, at - LEAD_S));
     const next = starts.find((at) => at > replay.position_s + 0.05);
     const before = starts.findLast((at) => at < replay.position_s - 1);
-    this.want({ position_s: (direction > 0 ? next : before) ?? replay.position_s });
+    this.send({ position_s: (direction > 0 ? next : before) ?? replay.position_s });
   }
 
-  private want(wanted: Partial<ReplayControl>): void {
-    this.ask({ type: "replay", ...wanted });
+  private send(control: Partial<ReplayControl>): void {
+    this.sendControl({ type: "replay", ...control });
   }
 }

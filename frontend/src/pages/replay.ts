@@ -5,7 +5,7 @@ import type { Page } from "../shell/router";
 import { ReplayBar } from "./replay-bar";
 import { WatchPage } from "./watch";
 
-/** A recording on the page of the live tool, with a clock of its own. The live tool's alarms and STOP stay above it. */
+/** Replays a recording on the watch page. The live tool's alarms and STOP stay in the header. */
 export class ReplayPage implements Page {
   readonly keys;
   private readonly model = new Model(true);
@@ -13,24 +13,24 @@ export class ReplayPage implements Page {
   private readonly bar: ReplayBar;
   private readonly connection: Connection;
 
-  /** `schedule` asks for a picture. */
-  constructor(box: HTMLElement, name: string, person: Person, schedule: () => void) {
+  /** `scheduleRender` asks for a repaint. */
+  constructor(box: HTMLElement, name: string, person: Person, scheduleRender: () => void) {
     this.watch = new WatchPage(box, this.model, person);
     this.connection = new Connection(`/api/recordings/${encodeURIComponent(name)}/replay`, {
-      onConnected: (connected) => (this.model.connected = connected),
+      onConnected: (connected) => void (this.model.connected = connected),
       onMessage: (message, arrivedMs) => {
-        this.model.take(message, arrivedMs);
-        schedule();
-        if (message.type === "hello") this.bar.tell("");
-        if (message.type === "event") this.bar.tell(message.text);
+        this.model.onMessage(message, arrivedMs);
+        scheduleRender();
+        if (message.type === "hello") this.bar.showNotice("");
+        if (message.type === "event") this.bar.showNotice(message.text);
       },
       onFrame: (frame, arrivedMs) => {
-        this.model.takeFrame(frame, arrivedMs);
-        schedule();
+        this.model.onFrame(frame, arrivedMs);
+        scheduleRender();
         if (frame.history) this.watch.charts.historyChanged();
       },
     });
-    this.bar = new ReplayBar(this.model, name, (wanted) => this.connection.send(wanted));
+    this.bar = new ReplayBar(this.watch.root, this.model, name, (control) => this.connection.send(control));
     this.keys = [...this.watch.keys, ...this.bar.keys];
     this.connection.start();
   }

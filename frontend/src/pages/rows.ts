@@ -5,7 +5,7 @@ export interface Row<Item> {
   update?: (item: Item) => void;
 }
 
-/** Rows of a table by key: a row that stays keeps its elements, and with them the focus. */
+/** Table rows by key. A row that stays keeps its elements, and so the focus. */
 export class Rows<Item> {
   private rows = new Map<string, Row<Item>>();
 
@@ -38,7 +38,7 @@ export function headCell(className = ""): HTMLTableCellElement {
   return cell;
 }
 
-/** A moment in this browser's time, exact on hovering. */
+/** Creates a time element. Hovering over it shows the exact time. */
 export function moment(iso: string, ...shown: (string | Node)[]): HTMLTimeElement {
   const element = create("time", "moment");
   element.append(...shown);
@@ -47,7 +47,7 @@ export function moment(iso: string, ...shown: (string | Node)[]): HTMLTimeElemen
   return element;
 }
 
-// Swedish writes dates and times as ISO 8601 does.
+// The Swedish locale formats dates and times as ISO 8601 does.
 
 /** `2026-11-25 17:13` */
 export const dateTime = (iso: string): string =>

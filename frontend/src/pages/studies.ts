@@ -1,4 +1,4 @@
-import { byId, create, fill, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, fill, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { duration, NO_VALUE } from "../format";
 import { messageOf, postJson } from "../live/rest";
 import { showHints } from "../shell/hints";
@@ -10,20 +10,21 @@ import "../styles/pages.css";
 import { Polled } from "./polled";
 import { dateTime, headCell, moment, Rows, type Row } from "./rows";
 import markup from "./studies.html?raw";
-import { StudyNow } from "./study-now";
+import { RunningStudy } from "./running-study";
 
 const EVERY_MS = 10_000;
 const WHILE_RUNNING_MS = 1000;
 const STATE: Record<StudyState, string> = { running: "running", finished: "✓ finished", stopped: "■ stopped", failed: "✕ failed" };
 
-/** Studies of the estimator: start one, watch it, stop it, read what came out. */
+/** Starts, watches and stops studies of the estimator, and links to their reports. */
 export class StudiesPage implements Page {
+  private readonly root: HTMLElement;
   private readonly choice: HTMLSelectElement;
   private readonly grasps: HTMLInputElement;
   private readonly seed: HTMLInputElement;
   private readonly start: HTMLButtonElement;
   private readonly message: HTMLElement;
-  private readonly now: StudyNow;
+  private readonly now: RunningStudy;
   private readonly rows: Rows<StudyRun>;
   private readonly polled: Polled<Studies>;
   private available: StudyInfo[] = [];
@@ -33,23 +34,23 @@ export class StudiesPage implements Page {
     box: HTMLElement,
     private readonly person: Person,
   ) {
-    fill(box, markup);
-    keepListsInThePage(box);
-    showHints(box);
-    this.choice = byId<HTMLSelectElement>("study-choice");
-    this.grasps = byId<HTMLInputElement>("study-grasps");
-    this.seed = byId<HTMLInputElement>("study-seed");
-    this.start = byId<HTMLButtonElement>("study-start");
-    this.message = byId("study-message");
+    this.root = fill(box, markup);
+    keepListsInThePage(this.root);
+    showHints(this.root);
+    this.choice = find(this.root, "study-choice", HTMLSelectElement);
+    this.grasps = find(this.root, "study-grasps", HTMLInputElement);
+    this.seed = find(this.root, "study-seed", HTMLInputElement);
+    this.start = find(this.root, "study-start", HTMLButtonElement);
+    this.message = find(this.root, "study-message");
     this.choice.addEventListener("change", () => this.describe());
-    byId("study-form").addEventListener("submit", (event) => {
+    find(this.root, "study-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.submit();
     });
-    this.now = new StudyNow(person, () => this.polled.now());
-    this.rows = new Rows(byId("studies-body"), ({ id }) => id, makeRow);
-    const section = byId("studies");
-    this.polled = new Polled({ path: "/api/studies", what: "The list", section, take: (answer) => this.take(answer) });
+    this.now = new RunningStudy(this.root, person, () => this.polled.refresh());
+    this.rows = new Rows(find(this.root, "studies-body"), ({ id }) => id, makeRow);
+    const section = find(this.root, "studies");
+    this.polled = new Polled({ path: "/api/studies", title: "The list", section, onAnswer: (answer) => this.onAnswer(answer) });
   }
 
   render(): void {
@@ -60,19 +61,19 @@ export class StudiesPage implements Page {
     this.polled.close();
   }
 
-  private take({ folder, available, runs }: Studies): number {
+  private onAnswer({ folder, available, runs }: Studies): number {
     if (JSON.stringify(available) !== JSON.stringify(this.available)) this.list(available);
     const running = runs.find(({ state }) => state === "running") ?? null;
     const earlier = runs.filter(({ state }) => state !== "running");
     this.now.show(running);
     this.rows.show(earlier);
-    setHidden(byId("studies-box"), earlier.length === 0);
-    setHidden(byId("studies-empty"), earlier.length > 0);
-    setText(byId("studies-folder"), folder);
+    setHidden(find(this.root, "studies-box"), earlier.length === 0);
+    setHidden(find(this.root, "studies-empty"), earlier.length > 0);
+    setText(find(this.root, "studies-folder"), folder);
     const ended = earlier.find(({ id }) => id === this.startedHere);
     if (ended) {
       this.startedHere = null;
-      this.say(`Study ${ended.study} ${ended.state} after ${timeTaken(ended)}.`, ended.state === "failed" ? "failed" : "done");
+      this.showMessage(`Study ${ended.study} ${ended.state} after ${timeTaken(ended)}.`, ended.state === "failed" ? "failed" : "done");
     }
     return running ? WHILE_RUNNING_MS : EVERY_MS;
   }
@@ -80,7 +81,7 @@ export class StudiesPage implements Page {
   private list(available: StudyInfo[]): void {
     this.available = available;
     const chosen = this.choice.value;
-    for (const old of [...this.choice.options]) old.remove();
+    for (const old of Array.from(this.choice.options)) old.remove();
     this.choice.append(...available.map(option));
     if (available.some(({ name }) => name === chosen)) this.choice.value = chosen;
     this.choice.disabled = this.start.disabled = available.length === 0;
@@ -90,26 +91,26 @@ export class StudiesPage implements Page {
   private describe(): void {
     const study = this.available.find(({ name }) => name === this.choice.value);
     if (!study) return;
-    setText(byId("study-about"), study.title);
+    setText(find(this.root, "study-about"), study.title);
     this.grasps.value = study.grasps === null ? "" : String(study.grasps);
     this.grasps.max = String(study.most_grasps);
-    setText(byId("study-most"), `At most ${study.most_grasps.toLocaleString("en")} of each.`);
+    setText(find(this.root, "study-most"), `At most ${study.most_grasps.toLocaleString("en")} of each.`);
   }
 
   private async submit(): Promise<void> {
     if (this.start.ariaBusy === "true") return;
-    this.say("Starting…", "pending");
+    this.showMessage("Starting…", "pending");
     setAttribute(this.start, "aria-busy", "true");
     try {
       const run = await postJson<StudyRun>("/api/studies", this.request());
       this.startedHere = run.id;
-      this.say(`Started: ${run.study}, ${run.grasps} of each, seed ${run.seed}.`, "done");
+      this.showMessage(`Started: ${run.study}, ${run.grasps} of each, seed ${run.seed}.`, "done");
     } catch (error) {
-      this.say(`Not started: ${messageOf(error)}`, "failed");
+      this.showMessage(`Not started: ${messageOf(error)}`, "failed");
     } finally {
       setAttribute(this.start, "aria-busy", "false");
     }
-    this.polled.now();
+    this.polled.refresh();
   }
 
   private request(): StudyRequest {
@@ -122,7 +123,7 @@ export class StudiesPage implements Page {
     };
   }
 
-  private say(text: string, outcome: "pending" | "done" | "failed"): void {
+  private showMessage(text: string, outcome: "pending" | "done" | "failed"): void {
     setText(this.message, text);
     setData(this.message, "outcome", outcome);
   }
@@ -138,7 +139,7 @@ function option({ name, title }: StudyInfo): HTMLOptionElement {
 const timeTaken = ({ started_at: from, ended_at: to }: StudyRun): string =>
   to === null ? NO_VALUE : duration(Date.parse(to) - Date.parse(from));
 
-/** Of one that is over: nothing of it changes any more. */
+/** Creates the row of a finished study, which does not change any more. */
 function makeRow(run: StudyRun): Row<StudyRun> {
   const element = create("tr");
   const [what, when, state] = [headCell("what"), create("td", "roomy"), create("td", "study-state", STATE[run.state])];

@@ -1,4 +1,4 @@
-import { byId, create, fill, setData } from "../dom";
+import { create, fill, find, setData } from "../dom";
 import { bytes, duration } from "../format";
 import { showHints } from "../shell/hints";
 import type { Page } from "../shell/router";
@@ -13,18 +13,19 @@ import markup from "./system.html?raw";
 
 const EVERY_MS = 5000;
 
-/** What runs here, how the tool is calibrated and set up, and what happened. */
+/** Shows the running service, the tool's calibration and configuration, and the journal. */
 export class SystemPage implements Page {
+  private readonly root: HTMLElement;
   private readonly polled: Polled<System>;
   private readonly journal: Journal;
   private configured = "";
 
   constructor(box: HTMLElement) {
-    fill(box, markup);
-    showHints(box);
-    const section = byId("system");
-    this.polled = new Polled({ path: "/api/system", what: "The system", section, take: (system) => this.take(system) });
-    this.journal = new Journal();
+    this.root = fill(box, markup);
+    showHints(this.root);
+    const section = find(this.root, "system");
+    this.polled = new Polled({ path: "/api/system", title: "The system", section, onAnswer: (system) => this.onAnswer(system) });
+    this.journal = new Journal(this.root);
   }
 
   render(): void {}
@@ -34,36 +35,36 @@ export class SystemPage implements Page {
     this.journal.close();
   }
 
-  private take(system: System): number {
-    showFacts(byId("service-facts"), {
+  private onAnswer(system: System): number {
+    showFacts(find(this.root, "service-facts"), {
       Machine: system.machine,
       "Up for": duration(Date.now() - Date.parse(system.started_at)),
       Started: dateTime(system.started_at),
       "Data folder": system.data_folder,
       "Free disk": system.free_disk_bytes === null ? "the folder is gone" : bytes(system.free_disk_bytes),
     });
-    showFacts(byId("service-workers"), system.workers);
-    for (const dd of byId("service-workers").querySelectorAll("dd")) setData(dd, "warn", String(dd.textContent === "faulted"));
-    showFacts(byId("service-realtime"), system.realtime);
-    showFacts(byId("service-versions"), system.versions);
-    showCalibration(system);
+    showFacts(find(this.root, "service-workers"), system.workers);
+    for (const dd of find(this.root, "service-workers").querySelectorAll("dd")) setData(dd, "warn", String(dd.textContent === "faulted"));
+    showFacts(find(this.root, "service-realtime"), system.realtime);
+    showFacts(find(this.root, "service-versions"), system.versions);
+    showCalibration(this.root, system);
     this.showConfiguration(system);
     return EVERY_MS;
   }
 
-  /** Only when it is another one: what somebody has opened stays open. */
+  /** Shows the configuration. If it is unchanged, sections that the person opened stay open. */
   private showConfiguration({ tool, settings }: System): void {
     const configured = JSON.stringify([tool, settings]);
     if (configured === this.configured) return;
     this.configured = configured;
-    byId("configuration-tool").replaceChildren(...configuration(tool));
-    byId("configuration-settings").replaceChildren(...configuration(settings));
+    find(this.root, "configuration-tool").replaceChildren(...configuration(tool));
+    find(this.root, "configuration-settings").replaceChildren(...configuration(settings));
   }
 }
 
-function showCalibration({ tool, force_scale: scale, constants }: System): void {
-  showFacts(byId("calibration-facts"), { Tool: String(tool.title), Forces: scale.text, "Scale from": scale.source });
-  byId("calibration-constants").replaceChildren(...constants.map(constantRow));
+function showCalibration(root: HTMLElement, { tool, force_scale: scale, constants }: System): void {
+  showFacts(find(root, "calibration-facts"), { Tool: String(tool.title), Forces: scale.text, "Scale from": scale.source });
+  find(root, "calibration-constants").replaceChildren(...constants.map(constantRow));
 }
 
 function constantRow({ constant, value, date, by, expires, expired }: ConstantInfo): HTMLTableRowElement {

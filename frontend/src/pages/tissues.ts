@@ -1,9 +1,9 @@
-import { drawReferences, frameOf, type Axis } from "../cards/stress-plot";
-import { byId, create, fill, setAttribute, setText } from "../dom";
+import { drawReferences, plotArea, type Axis } from "../cards/stress-plot";
+import { create, fill, find, setAttribute, setText } from "../dom";
 import { fixed } from "../format";
 import { showHints } from "../shell/hints";
 import type { Page } from "../shell/router";
-import { looksOf } from "../tissues";
+import { tissueStyles } from "../tissues";
 import type { LibraryInfo, TissueInfo } from "../wire";
 import "../styles/cards.css";
 import "../styles/pages.css";
@@ -15,22 +15,23 @@ import markup from "./tissues.html?raw";
 const EVERY_MS = 30_000;
 const DIGITS = 4;
 
-/** The tissue library in use: its profiles, where they are from, how much they spread, and their curves. */
+/** Shows the tissue library in use: profiles, sources, spread and curves. */
 export class TissuesPage implements Page {
+  private readonly root: HTMLElement;
   private readonly canvas: HTMLCanvasElement;
   private readonly sizes = new ResizeObserver(() => this.draw());
   private readonly polled: Polled<LibraryInfo>;
   private library: LibraryInfo | null = null;
   private axis: Axis = "mm";
 
-  constructor(private readonly box: HTMLElement) {
-    fill(box, markup);
-    showHints(box);
-    this.canvas = byId<HTMLCanvasElement>("library-plot");
+  constructor(box: HTMLElement) {
+    this.root = fill(box, markup);
+    showHints(this.root);
+    this.canvas = find(this.root, "library-plot", HTMLCanvasElement);
     this.sizes.observe(this.canvas);
-    for (const button of this.axisButtons()) button.addEventListener("click", () => this.choose(button.dataset.axis as Axis));
-    const section = byId("library-plot-card");
-    this.polled = new Polled({ path: "/api/tissues", what: "The library", section, take: (library) => this.take(library) });
+    for (const button of this.axisButtons()) button.addEventListener("click", () => this.showAxis(button.dataset.axis as Axis));
+    const section = find(this.root, "library-plot-card");
+    this.polled = new Polled({ path: "/api/tissues", title: "The library", section, onAnswer: (library) => this.onAnswer(library) });
   }
 
   render(): void {}
@@ -44,47 +45,47 @@ export class TissuesPage implements Page {
     this.sizes.disconnect();
   }
 
-  private take(library: LibraryInfo): number {
+  private onAnswer(library: LibraryInfo): number {
     const same = JSON.stringify(library) === JSON.stringify(this.library);
     this.library = library;
-    setAttribute(byId("library"), "data-state", "ready");
+    setAttribute(find(this.root, "library"), "data-state", "ready");
     if (same) return EVERY_MS;
-    setText(byId("library-heading"), library.title);
-    showFacts(byId("library-facts"), {
+    setText(find(this.root, "library-heading"), library.title);
+    showFacts(find(this.root, "library-facts"), {
       Library: library.name,
       Source: library.source,
       "Jaw area": fixed(library.jaw_area_m2 * 1e6, 1, "mm²"),
       Mass: fixed(library.mass_kg * 1e3, 1, "g"),
     });
-    byId("library-body").replaceChildren(...rowsOf(library));
+    find(this.root, "library-body").replaceChildren(...rowsOf(library));
     this.draw();
     return EVERY_MS;
   }
 
   private draw(): void {
     if (!this.library || this.canvas.clientWidth === 0) return;
-    drawReferences(this.canvas, frameOf(this.canvas, this.library, this.axis), this.library);
+    drawReferences(this.canvas, plotArea(this.canvas, this.library, this.axis), this.library);
   }
 
-  private choose(axis: Axis): void {
+  private showAxis(axis: Axis): void {
     this.axis = axis;
     for (const button of this.axisButtons()) setAttribute(button, "aria-pressed", String(button.dataset.axis === axis));
     this.draw();
   }
 
   private axisButtons(): HTMLButtonElement[] {
-    return [...this.box.querySelectorAll<HTMLButtonElement>("button[data-axis]")];
+    return [...this.root.querySelectorAll<HTMLButtonElement>("button[data-axis]")];
   }
 }
 
 function rowsOf({ tissues }: LibraryInfo): HTMLTableRowElement[] {
-  const looks = new Map(looksOf(tissues).map((look) => [look.name, look]));
+  const styles = new Map(tissueStyles(tissues).map((style) => [style.name, style]));
   return tissues.map((tissue) => {
-    const look = looks.get(tissue.name);
+    const style = styles.get(tissue.name);
     const row = create("tr");
     const what = headCell("what");
-    what.dataset.slot = look?.slot ?? "";
-    what.append(create("span", "swatch", look?.mark ?? ""), tissue.title);
+    what.dataset.slot = style?.slot ?? "";
+    what.append(create("span", "swatch", style?.mark ?? ""), tissue.title);
     row.append(what, ...cellsOf(tissue));
     return row;
   });
@@ -105,5 +106,5 @@ function valueCell(value: string, logSd: number | null): HTMLTableCellElement {
   return cell;
 }
 
-/** As the library's file has it, but no more digits than count. */
+/** Formats a value with its significant digits only. */
 const significant = (value: number): string => String(Number(value.toPrecision(DIGITS)));

@@ -1,4 +1,4 @@
-import { Ages } from "../cards/ages";
+import { AgeLabels } from "../cards/age-labels";
 import { CriteriaTable } from "../cards/criteria";
 import { ForceCard } from "../cards/force";
 import { GraspsTable } from "../cards/grasps";
@@ -17,8 +17,9 @@ import "../styles/cards.css";
 import "../styles/charts.css";
 import markup from "./watch.html?raw";
 
-/** The cards and charts of one source: the tool as it is now, or a recording. */
+/** The cards and charts of one source: the live tool or a recording. */
 export class WatchPage implements Page {
+  readonly root: HTMLElement;
   readonly charts: ChartStack;
   readonly keys: KeyAction[];
   private readonly tissue: TissueCard;
@@ -27,24 +28,25 @@ export class WatchPage implements Page {
   private readonly criteria: CriteriaTable;
   private readonly grasps: GraspsTable;
   private readonly protocol: ProtocolPanel;
-  private readonly ages: Ages;
+  private readonly ages: AgeLabels;
 
   constructor(
     box: HTMLElement,
     model: Model,
     person: Person,
   ) {
-    fill(box, markup);
-    keepListsInThePage(box);
-    showHints(box);
-    this.ages = new Ages(model);
-    this.tissue = new TissueCard(model);
-    this.force = new ForceCard(model);
-    this.charts = new ChartStack(model);
-    this.stress = new StressCard(model);
-    this.criteria = new CriteriaTable(model);
-    this.grasps = new GraspsTable(model);
-    this.protocol = new ProtocolPanel(model, person);
+    const root = fill(box, markup);
+    this.root = root;
+    keepListsInThePage(root);
+    showHints(root);
+    this.ages = new AgeLabels(root, model);
+    this.tissue = new TissueCard(root, model);
+    this.force = new ForceCard(root, model);
+    this.charts = new ChartStack(root, model);
+    this.stress = new StressCard(root, model);
+    this.criteria = new CriteriaTable(root, model);
+    this.grasps = new GraspsTable(root, model);
+    this.protocol = new ProtocolPanel(root, model, person);
     this.keys = [...chartKeys(this.charts), ...(model.isReplay ? [] : [startKey(this.protocol)])];
     if (!model.isReplay) void this.protocol.load();
   }
@@ -64,7 +66,7 @@ export class WatchPage implements Page {
     void this.protocol.load();
   }
 
-  /** What the page said about starting no longer matters. */
+  /** Clears the message about the last start. */
   stopped(): void {
     this.protocol.forget();
   }
@@ -82,19 +84,19 @@ export class WatchPage implements Page {
 
 const startKey = (protocol: ProtocolPanel): KeyAction => ({
   key: "S",
-  shown: "Shift + S",
-  does: "Start the chosen protocol",
+  label: "Shift + S",
+  description: "Start the chosen protocol",
   run: () => protocol.submitByKey(),
 });
 
 const chartKeys = (charts: ChartStack): KeyAction[] => [
-  { key: "p", shown: "P", does: "Pause the charts, or go on", run: () => charts.togglePause() },
-  { key: "ArrowLeft", shown: "←", does: "Look back", run: () => charts.move(-0.25) },
-  { key: "ArrowRight", shown: "→", does: "Look forward", run: () => charts.move(0.25) },
-  { key: "+", shown: "+", does: "Zoom in", run: () => charts.zoom(0.5) },
-  { key: "-", shown: "−", does: "Zoom out", run: () => charts.zoom(2) },
-  { key: "r", shown: "R", does: "Charts: reset, follow the tool", run: () => charts.reset() },
-  { key: "a", shown: "A", does: "Chart of alpha", run: () => charts.choose("alpha_n") },
-  { key: "b", shown: "B", does: "Chart of beta", run: () => charts.choose("beta_per_m") },
-  { key: "d", shown: "D", does: "Chart of d", run: () => charts.choose("damping_kg_per_s") },
+  { key: "p", label: "P", description: "Pause the charts, or go on", run: () => charts.togglePause() },
+  { key: "ArrowLeft", label: "←", description: "Look back", run: () => charts.move(-0.25) },
+  { key: "ArrowRight", label: "→", description: "Look forward", run: () => charts.move(0.25) },
+  { key: "+", label: "+", description: "Zoom in", run: () => charts.zoom(0.5) },
+  { key: "-", label: "−", description: "Zoom out", run: () => charts.zoom(2) },
+  { key: "r", label: "R", description: "Charts: reset, follow the tool", run: () => charts.reset() },
+  { key: "a", label: "A", description: "Chart of alpha", run: () => charts.showParameter("alpha_n") },
+  { key: "b", label: "B", description: "Chart of beta", run: () => charts.showParameter("beta_per_m") },
+  { key: "d", label: "D", description: "Chart of d", run: () => charts.showParameter("damping_kg_per_s") },
 ];

@@ -6,18 +6,18 @@ import type { Alarm, Priority } from "../wire";
 import type { Person } from "./person";
 import type { AlarmSound } from "./sound";
 
-/** An alarm as the bar shows it; `beganAt` in page time. */
+/** An alarm as the bar shows it. `beganAt` is in page time, ms. */
 export interface ShownAlarm {
   id: string;
   priority: Priority;
   text: string;
   beganAt: number;
-  /** The cause is gone, but nobody has acknowledged it. */
+  /** The cause has ended, but the alarm waits for a person to acknowledge it. */
   latched: boolean;
   acknowledgedBy: string | null;
 }
 
-/** An alarm that the page raises itself. */
+/** Builds an alarm that the page raises itself. */
 export const pageAlarm = (id: string, priority: ShownAlarm["priority"], text: string, beganAt: number): ShownAlarm => ({
   id,
   priority,
@@ -28,9 +28,9 @@ export const pageAlarm = (id: string, priority: ShownAlarm["priority"], text: st
 });
 
 const RANK: Record<Priority, number> = { high: 3, medium: 2, low: 1 };
-const WORD: Record<Priority, string> = { high: "HIGH", medium: "MEDIUM", low: "LOW" };
+const PRIORITY_TEXT: Record<Priority, string> = { high: "HIGH", medium: "MEDIUM", low: "LOW" };
 
-/** The highest alarm, always in sight; the others on request. */
+/** Shows the highest alarm at all times, and a list of all alarms on request. */
 export class AlarmBar {
   private readonly bar = byId("alarm-bar");
   private readonly list = byId("alarm-list");
@@ -38,8 +38,8 @@ export class AlarmBar {
   private last: { text: string; endedAt: number } | null = null;
   private shown: ShownAlarm[] = [];
   private listOpen = false;
-  /** Alarms that this page raises itself are acknowledged here: the server may be out of reach. */
-  private readonly ofPageAcknowledged = new Map<string, string>();
+  /** Who acknowledged each of the page's own alarms. The page keeps this, since the server may be unreachable. */
+  private readonly acknowledgedHere = new Map<string, string>();
 
   constructor(
     private readonly model: Model,
@@ -51,12 +51,12 @@ export class AlarmBar {
   }
 
   /** Shows the server's alarms together with those that the page raises itself. */
-  render(ofPage: ShownAlarm[], nowMs: number): void {
-    for (const id of this.ofPageAcknowledged.keys()) {
-      if (!ofPage.some((alarm) => keyOf(alarm) === id)) this.ofPageAcknowledged.delete(id);
+  render(pageAlarms: ShownAlarm[], nowMs: number): void {
+    for (const id of this.acknowledgedHere.keys()) {
+      if (!pageAlarms.some((alarm) => keyOf(alarm) === id)) this.acknowledgedHere.delete(id);
     }
-    const own = ofPage.map((alarm) => ({ ...alarm, acknowledgedBy: this.ofPageAcknowledged.get(keyOf(alarm)) ?? null }));
-    const alarms = [...own, ...[...this.model.alarms.values()].map((alarm) => this.asShown(alarm))];
+    const ownAlarms = pageAlarms.map((alarm) => ({ ...alarm, acknowledgedBy: this.acknowledgedHere.get(keyOf(alarm)) ?? null }));
+    const alarms = [...ownAlarms, ...[...this.model.alarms.values()].map((alarm) => this.asShown(alarm))];
     alarms.sort(byUrgency);
     const before = this.shown[0];
     if (before && !alarms.some(({ id }) => id === before.id)) this.last = { text: before.text, endedAt: nowMs };
@@ -68,7 +68,7 @@ export class AlarmBar {
     this.announce(alarms[0] ?? null);
   }
 
-  /** The highest one that nobody has acknowledged yet; one that the bar does not show is shown first. */
+  /** Acknowledges the highest open alarm. If the bar does not show that alarm, opens the list first. */
   acknowledge(): void {
     const alarm = this.shown.find((each) => this.canAcknowledge(each));
     if (!alarm) return;
@@ -83,7 +83,7 @@ export class AlarmBar {
 
   private acknowledgeOne(alarm: ShownAlarm): void {
     if (alarm.id.startsWith("page:")) {
-      this.ofPageAcknowledged.set(keyOf(alarm), this.person.name ?? "you");
+      this.acknowledgedHere.set(keyOf(alarm), this.person.name ?? "you");
       return;
     }
     this.person.withName((by) => {
@@ -93,7 +93,7 @@ export class AlarmBar {
     });
   }
 
-  /** The page's own alarms are anybody's. */
+  /** Any person may acknowledge the page's own alarms; the server's need an operator. */
   private canAcknowledge({ id, acknowledgedBy }: ShownAlarm): boolean {
     return acknowledgedBy === null && (id.startsWith("page:") || this.person.may("operator"));
   }
@@ -102,9 +102,9 @@ export class AlarmBar {
     const top = alarms[0];
     setData(this.bar, "priority", top?.priority ?? "none");
     setData(this.bar, "quiet", String(top !== undefined && top.acknowledgedBy !== null));
-    setText(byId("alarm-priority"), top ? WORD[top.priority] : "");
+    setText(byId("alarm-priority"), top ? PRIORITY_TEXT[top.priority] : "");
     setText(byId("alarm-text"), top?.text ?? (this.model.state ? "No alarms" : "Alarms are not known yet"));
-    setText(byId("alarm-since"), top ? since(top, nowMs) : this.lastAlarm());
+    setText(byId("alarm-since"), top ? sinceText(top, nowMs) : this.lastAlarm());
     const more = byId("alarm-more");
     setHidden(more, alarms.length < 2);
     setText(more, `+${alarms.length - 1} more`);
@@ -115,7 +115,7 @@ export class AlarmBar {
     if (alarms.length < 2) this.listOpen = false;
     setHidden(this.list, !this.listOpen);
     if (!this.listOpen) return;
-    const lines = alarms.map((alarm) => `${WORD[alarm.priority]}: ${alarm.text} ${since(alarm, nowMs)}`);
+    const lines = alarms.map((alarm) => `${PRIORITY_TEXT[alarm.priority]}: ${alarm.text} ${sinceText(alarm, nowMs)}`);
     if (this.list.childElementCount !== lines.length) this.list.replaceChildren(...lines.map(() => create("li")));
     lines.forEach((line, i) => {
       const item = this.list.children[i] as HTMLElement;
@@ -128,7 +128,7 @@ export class AlarmBar {
     return {
       id: alarm.id,
       priority: alarm.priority,
-      text: inWords(alarm),
+      text: alarmText(alarm),
       beganAt: this.model.clock.toPage(alarm.began_ms),
       latched: !alarm.active,
       acknowledgedBy: alarm.acknowledged_by,
@@ -139,32 +139,32 @@ export class AlarmBar {
     return this.last ? `Last: ${this.last.text}, ended ${clockTime(this.last.endedAt)}` : "";
   }
 
-  /** Speaks once for each alarm, not at each new value. */
+  /** Announces each alarm to screen readers once, not at each new value. */
   private announce(top: ShownAlarm | null): void {
     const key = top ? `${keyOf(top)} ${top.latched}` : "";
     if (key === this.announced) return;
     this.announced = key;
-    setText(byId("alarm-live"), top ? `${WORD[top.priority]} alarm: ${top.text}` : "Alarm over");
+    setText(byId("alarm-live"), top ? `${PRIORITY_TEXT[top.priority]} alarm: ${top.text}` : "Alarm over");
   }
 }
 
 const keyOf = ({ id, priority }: ShownAlarm): string => `${id} ${priority}`;
 
-/** The higher priority first, then what nobody has acknowledged, then what is not over yet, then the newer one. */
+/** Sorts by priority, then unacknowledged before acknowledged, then active before latched, then newest first. */
 const byUrgency = (a: ShownAlarm, b: ShownAlarm): number =>
   RANK[b.priority] - RANK[a.priority] ||
   Number(a.acknowledgedBy !== null) - Number(b.acknowledgedBy !== null) ||
   Number(a.latched) - Number(b.latched) ||
   b.beganAt - a.beganAt;
 
-/** The server's words, with value and limit unless they say them already. */
-function inWords({ text, value, limit, unit }: Alarm): string {
+/** Returns the server's text, with value and limit unless it contains numbers already. */
+function alarmText({ text, value, limit, unit }: Alarm): string {
   if (value === null || /\d/.test(text)) return text;
   const ofLimit = limit === null ? "" : `, limit ${limit.toFixed(2)}\u202f${unit ?? ""}`;
   return `${text}: ${value.toFixed(2)}\u202f${unit ?? ""}${ofLimit}`;
 }
 
-function since(alarm: ShownAlarm, nowMs: number): string {
+function sinceText(alarm: ShownAlarm, nowMs: number): string {
   const began = Number.isFinite(alarm.beganAt) ? `since ${clockTime(alarm.beganAt)} (${elapsed(nowMs - alarm.beganAt)})` : "";
   if (alarm.latched) return `${began}, over by now: acknowledge it`;
   return alarm.acknowledgedBy === null ? began : `${began}, seen by ${alarm.acknowledgedBy}`;

@@ -2,7 +2,7 @@ import { create } from "../dom";
 
 const KEY = "graspwatch-hints-seen";
 
-/** One line for each area on the first visit; each goes away when it is dismissed, and none comes back by itself. */
+/** Shows each area's hint until the person dismisses it. A dismissed hint stays hidden in this browser. */
 export function showHints(root: ParentNode): void {
   const seen = seenHints();
   for (const line of root.querySelectorAll<HTMLElement>("[data-hint]")) {
@@ -22,7 +22,7 @@ export function showHints(root: ParentNode): void {
 
 const seenHints = (): Set<string> => new Set(JSON.parse(localStorage.getItem(KEY) ?? "[]") as string[]);
 
-/** Explain everything again. */
+/** Shows all hints again. */
 export function forgetHints(root: ParentNode): void {
   localStorage.removeItem(KEY);
   showHints(root);

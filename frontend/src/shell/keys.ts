@@ -2,21 +2,21 @@ import { byId, create } from "../dom";
 
 export interface KeyAction {
   key: string;
-  shown: string;
-  does: string;
+  label: string;
+  description: string;
   run: () => void;
 }
 
-/** Escape stops, wherever the focus is; the other keys work outside of fields. */
-export class Keys {
-  private readonly dialog = byId<HTMLDialogElement>("keys");
-  private readonly help: KeyAction = { key: "?", shown: "?", does: "Show or hide these keys", run: () => this.toggle() };
+/** Handles keys. Escape stops the run wherever the focus is; the other keys work outside of input fields. */
+export class KeyHandler {
+  private readonly dialog = byId("keys", HTMLDialogElement);
+  private readonly help: KeyAction = { key: "?", label: "?", description: "Show or hide these keys", run: () => this.toggle() };
 
-  /** `ofPage` tells the keys of the page that is open. */
+  /** `pageKeys` returns the keys of the open page. */
   constructor(
     private readonly stop: () => void,
-    private readonly everywhere: KeyAction[],
-    private readonly ofPage: () => KeyAction[],
+    private readonly globalKeys: KeyAction[],
+    private readonly pageKeys: () => KeyAction[],
     private readonly onEscape: () => void,
   ) {
     byId("help").addEventListener("click", () => this.toggle());
@@ -35,9 +35,9 @@ export class Keys {
       return;
     }
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat || isField(event.target)) return;
-    if (event.key.startsWith("Arrow") && event.target instanceof HTMLInputElement) return; // moves that slider
-    if (event.key === " " && event.target instanceof HTMLButtonElement) return; // presses that button
-    const action = [...this.everywhere, ...this.ofPage(), this.help].find(({ key }) => key === event.key);
+    if (event.key.startsWith("Arrow") && event.target instanceof HTMLInputElement) return; // the key moves that slider
+    if (event.key === " " && event.target instanceof HTMLButtonElement) return; // the key presses that button
+    const action = [...this.globalKeys, ...this.pageKeys(), this.help].find(({ key }) => key === event.key);
     if (!action || (this.dialog.open && action !== this.help)) return;
     event.preventDefault();
     action.run();
@@ -45,15 +45,15 @@ export class Keys {
 
   private toggle(): void {
     if (this.dialog.open) return this.dialog.close();
-    const rows = [{ shown: "Esc", does: "STOP: ends the run, motor to zero" }, ...this.ofPage(), ...this.everywhere, this.help];
+    const rows = [{ label: "Esc", description: "STOP: ends the run, motor to zero" }, ...this.pageKeys(), ...this.globalKeys, this.help];
     byId("keys-list").replaceChildren(
-      ...rows.flatMap(({ shown, does }) => [create("dt", "", shown), create("dd", "", does)]),
+      ...rows.flatMap(({ label, description }) => [create("dt", "", label), create("dd", "", description)]),
     );
     this.dialog.show(); // not modal: STOP must stay within reach
   }
 }
 
-/** Where the stylesheet cannot keep an open list inside the page, lists stay open instead: Esc must always get here. */
+/** Shows lists permanently open if the browser would open them outside of the page, where Escape is not STOP. */
 export function keepListsInThePage(root: ParentNode): void {
   if (CSS.supports("appearance", "base-select")) return;
   for (const select of root.querySelectorAll("select")) select.size = 3;

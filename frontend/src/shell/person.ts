@@ -4,18 +4,18 @@ import type { Session } from "./session";
 
 const KEY = "graspwatch-person";
 
-/** Who sits at this page: who is signed in, or else asked once and kept in this browser; sent with what he does. */
+/** The person at this page: who is signed in, or else a name that this browser keeps. Requests carry the name. */
 export class Person {
-  private readonly dialog = byId<HTMLDialogElement>("person-dialog");
-  private readonly field = byId<HTMLInputElement>("person-name");
-  private waiting: ((name: string) => void) | null = null;
+  private readonly dialog = byId("person-dialog", HTMLDialogElement);
+  private readonly field = byId("person-name", HTMLInputElement);
+  private onNamed: ((name: string) => void) | null = null;
 
   constructor(private readonly session: Session) {
     byId("person").addEventListener("click", () => (session.needed ? session.open() : this.open(null)));
     byId("person-cancel").addEventListener("click", () => this.close());
     byId("person-form").addEventListener("submit", (event) => {
       event.preventDefault();
-      this.take(this.field.value.trim());
+      this.saveName(this.field.value.trim());
     });
     this.show();
   }
@@ -24,7 +24,7 @@ export class Person {
     return this.session.needed ? this.session.name : localStorage.getItem(KEY);
   }
 
-  /** Whether there is a sign-in, and so control that one person has. */
+  /** Whether people sign in here, so that one of them has control of the tool. */
   get isSignedIn(): boolean {
     return this.session.needed && this.session.name !== null;
   }
@@ -33,29 +33,29 @@ export class Person {
     return this.session.may(role);
   }
 
-  /** Calls `then` with the name, asking for it first if there is none yet. */
+  /** Calls `then` with the name. Asks for it first if there is none yet. */
   withName(then: (name: string) => void): void {
     if (this.name) then(this.name);
     else this.open(then);
   }
 
   close(): void {
-    this.waiting = null;
+    this.onNamed = null;
     this.dialog.close();
     this.session.close();
   }
 
   private open(then: ((name: string) => void) | null): void {
-    this.waiting = then;
+    this.onNamed = then;
     this.field.value = this.name ?? "";
     if (!this.dialog.open) this.dialog.show(); // not modal: STOP must stay within reach
     this.field.select();
   }
 
-  private take(name: string): void {
+  private saveName(name: string): void {
     if (name === "") return;
     localStorage.setItem(KEY, name);
-    const then = this.waiting;
+    const then = this.onNamed;
     this.close();
     this.show();
     then?.(name);

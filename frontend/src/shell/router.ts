@@ -1,27 +1,27 @@
 import { byId, create, setAttribute } from "../dom";
 import type { KeyAction } from "./keys";
 
-/** What fills the page below the header. */
+/** A page: the content below the header. */
 export interface Page {
-  /** Called for every picture while something arrives, and ten times a second otherwise. */
+  /** Draws the page: at each repaint with new data, and ten times a second without. */
   render(nowMs: number): void;
-  /** Its own keys. */
+  /** Keys of this page only. */
   readonly keys?: KeyAction[];
-  /** Colours changed. */
+  /** Redraws what uses the theme's colors. */
   themeChanged?(): void;
   close(): void;
 }
 
 export interface Route {
-  /** Of the link in the navigation. */
+  /** Name of its link in the navigation. */
   name: string;
   title: string;
   matches: (path: string) => boolean;
-  /** Fetches what the page needs of the program; its answer builds the page. */
+  /** Loads the page's code. The result builds the page. */
   load: () => Promise<(box: HTMLElement, path: string) => Page>;
 }
 
-/** Shows the page of the address; links inside the service change it without loading anything anew. */
+/** Shows the page of the current address. Links within the service switch pages without a reload. */
 export class Router {
   page: Page | null = null;
   private opening = 0;
@@ -36,7 +36,7 @@ export class Router {
   }
 
   go(path: string): void {
-    if (path === location.pathname && this.page) return; // what somebody has set there stays
+    if (path === location.pathname && this.page) return; // the open page keeps what the person has entered
     history.pushState(null, "", path);
     void this.show();
   }
@@ -58,7 +58,7 @@ export class Router {
     scrollTo(0, 0);
     try {
       const build = await route.load();
-      if (opening !== this.opening) return; // somebody went on meanwhile
+      if (opening !== this.opening) return; // the person has opened another page meanwhile
       this.page = build(this.box, path);
       this.onOpen();
     } catch (error) {
@@ -66,13 +66,13 @@ export class Router {
     }
   }
 
-  /** Most likely the connection is gone; what is loaded already goes on. */
+  /** Shows why a page could not be loaded, most likely a lost connection. The rest of the program goes on. */
   private showFailure(error: unknown): void {
     const box = create("section", "card");
-    const again = create("button", "", "Load this page again");
-    again.addEventListener("click", () => location.reload());
+    const reload = create("button", "", "Load this page again");
+    reload.addEventListener("click", () => location.reload());
     const why = error instanceof Error ? error.message : String(error);
-    box.append(create("h2", "", "This page cannot be shown"), create("p", "", why), again);
+    box.append(create("h2", "", "This page cannot be shown"), create("p", "", why), reload);
     this.box.replaceChildren(box);
   }
 

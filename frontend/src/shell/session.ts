@@ -1,14 +1,14 @@
 import { byId, setAttribute, setHidden, setText } from "../dom";
-import { getSession, messageOf, onUnknown, signIn, signOut } from "../live/rest";
+import { getSession, messageOf, onSignedOut, signIn, signOut } from "../live/rest";
 import type { Role, SessionInfo } from "../wire";
 
 const RANK: Record<Role, number> = { viewer: 1, operator: 2, admin: 3 };
 
-/** Who the server says this browser is. Signing in and out loads the page anew: nothing of the one before stays. */
+/** The person that this browser is signed in as. Signing in or out reloads the page, so that no earlier data remain. */
 export class Session {
   private info: SessionInfo | null = null;
-  private readonly dialog = byId<HTMLDialogElement>("sign-in");
-  private readonly token = byId<HTMLInputElement>("sign-in-token");
+  private readonly dialog = byId("sign-in", HTMLDialogElement);
+  private readonly token = byId("sign-in-token", HTMLInputElement);
 
   constructor() {
     byId("sign-in-form").addEventListener("submit", (event) => {
@@ -17,10 +17,10 @@ export class Session {
     });
     byId("sign-out").addEventListener("click", () => void this.send(signOut()));
     byId("sign-in-close").addEventListener("click", () => this.close());
-    onUnknown(() => void this.check());
+    onSignedOut(() => void this.check());
   }
 
-  /** Whether this service knows people by tokens. */
+  /** Whether this service requires a sign-in with a token. */
   get needed(): boolean {
     return this.info?.needed ?? false;
   }
@@ -33,21 +33,21 @@ export class Session {
     return this.info?.role ?? null;
   }
 
-  /** Without an answer the server decides when it is asked. */
+  /** Whether the role allows something. If the role is not known, the server decides on the request. */
   may(role: Role): boolean {
     return this.role === null || RANK[this.role] >= RANK[role];
   }
 
-  /** Asks the server; false: somebody has to sign in first, and the dialog says so. */
+  /** Asks the server for the session. Returns false, and opens the dialog, if the person has to sign in first. */
   async load(): Promise<boolean> {
     this.info = await getSession().catch(() => null);
     setAttribute(document.documentElement, "data-role", this.role ?? "");
-    const stranger = this.needed && this.name === null;
-    if (stranger) this.open();
-    return !stranger;
+    const mustSignIn = this.needed && this.name === null;
+    if (mustSignIn) this.open();
+    return !mustSignIn;
   }
 
-  /** The server may have forgotten who this is. */
+  /** Reloads the page if the server no longer accepts the sign-in. */
   async check(): Promise<void> {
     const now = await getSession().catch(() => null);
     if (now?.needed && now.name === null && (!this.needed || this.name !== null)) location.reload();
@@ -63,14 +63,14 @@ export class Session {
     if (!signedIn) this.token.focus();
   }
 
-  /** A stranger has nothing else to do here. */
+  /** Closes the dialog, unless the person has to sign in first. */
   close(): void {
     if (this.name !== null) this.dialog.close();
   }
 
-  private async send(asked: Promise<unknown>): Promise<void> {
+  private async send(request: Promise<unknown>): Promise<void> {
     try {
-      await asked;
+      await request;
       location.reload();
     } catch (error) {
       this.token.select();

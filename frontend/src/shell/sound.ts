@@ -2,31 +2,31 @@ import { byId, setAttribute, setData, setText } from "../dom";
 import type { Priority } from "../wire";
 
 const PAUSE_MS = 120_000;
-/** Pulses of a burst, and how long until it is repeated: after IEC 60601-1-8, which has 10, 3 and 1. */
-const BURSTS: Record<Priority, { offsetsS: number[]; pulseS: number; hz: number; againMs: number }> = {
-  high: { offsetsS: [0, 0.15, 0.3, 0.55, 0.7, 1.4, 1.55, 1.7, 1.95, 2.1], pulseS: 0.1, hz: 880, againMs: 7_000 },
-  medium: { offsetsS: [0, 0.3, 0.6], pulseS: 0.18, hz: 660, againMs: 15_000 },
-  low: { offsetsS: [0], pulseS: 0.25, hz: 440, againMs: 30_000 },
+/** Pulses of a burst and the time until the next burst, after IEC 60601-1-8, which has 10, 3 and 1 pulses. */
+const BURSTS: Record<Priority, { offsetsS: number[]; pulseS: number; hz: number; repeatMs: number }> = {
+  high: { offsetsS: [0, 0.15, 0.3, 0.55, 0.7, 1.4, 1.55, 1.7, 1.95, 2.1], pulseS: 0.1, hz: 880, repeatMs: 7_000 },
+  medium: { offsetsS: [0, 0.3, 0.6], pulseS: 0.18, hz: 660, repeatMs: 15_000 },
+  low: { offsetsS: [0], pulseS: 0.25, hz: 440, repeatMs: 30_000 },
 };
 const RISE_S = 0.02;
 const VOLUME = 0.35;
 
-/** Speaks for the highest alarm that nobody has acknowledged; silent until a person has switched it on. */
+/** Sounds for the highest alarm that is not acknowledged. It is silent until a person switches it on. */
 export class AlarmSound {
-  /** How many bursts have been sounded. */
+  /** Number of bursts so far. */
   bursts = 0;
   private context: AudioContext | null = null;
   private pausedUntil = 0;
-  private sounding = "";
-  private dueAt = 0;
+  private soundingKey = "";
+  private nextBurstAt = 0;
   private readonly button = byId("sound");
 
   constructor() {
-    this.button.addEventListener("click", () => this.press());
+    this.button.addEventListener("click", () => this.toggle());
   }
 
-  /** Switch on; then pause for two minutes, or end the pause. */
-  press(): void {
+  /** Switches the sound on; later pauses it for two minutes, or ends the pause. */
+  toggle(): void {
     const now = performance.now();
     if (!this.context) this.switchOn();
     else if (now < this.pausedUntil) this.pausedUntil = 0;
@@ -34,15 +34,15 @@ export class AlarmSound {
     this.show(now);
   }
 
-  /** `key` changes when there is a new alarm or a worse one; null: nothing to say. */
+  /** `key` changes with a new or a higher alarm. Null: there is no alarm to sound for. */
   render(key: string | null, priority: Priority | null, nowMs: number): void {
     this.show(nowMs);
-    if (key !== this.sounding) {
-      this.sounding = key ?? "";
-      this.dueAt = nowMs;
+    if (key !== this.soundingKey) {
+      this.soundingKey = key ?? "";
+      this.nextBurstAt = nowMs;
     }
-    if (key === null || priority === null || !this.context || nowMs < this.pausedUntil || nowMs < this.dueAt) return;
-    this.dueAt = nowMs + BURSTS[priority].againMs;
+    if (key === null || priority === null || !this.context || nowMs < this.pausedUntil || nowMs < this.nextBurstAt) return;
+    this.nextBurstAt = nowMs + BURSTS[priority].repeatMs;
     this.bursts += 1;
     setData(this.button, "bursts", String(this.bursts));
     this.play(this.context, priority);
@@ -50,18 +50,18 @@ export class AlarmSound {
 
   private switchOn(): void {
     this.context = new AudioContext();
-    this.play(this.context, "low"); // so that one hears that it works
+    this.play(this.context, "low"); // the person hears that the sound works
   }
 
   private show(nowMs: number): void {
-    const left = Math.ceil((this.pausedUntil - nowMs) / 1000);
-    const state = !this.context ? "off" : left > 0 ? "paused" : "on";
+    const leftS = Math.ceil((this.pausedUntil - nowMs) / 1000);
+    const state = !this.context ? "off" : leftS > 0 ? "paused" : "on";
     setData(this.button, "state", state);
-    const minutes = `${Math.floor(left / 60)}:${String(left % 60).padStart(2, "0")}`;
-    const words = { off: "Sound is off", on: "Pause sound", paused: `Sound paused ${minutes}` };
-    setText(this.button, words[state]);
-    const does = { off: "Sound is off: switch it on", on: "Pause sound for two minutes", paused: "Sound is paused: end the pause" };
-    setAttribute(this.button, "title", does[state]);
+    const minutes = `${Math.floor(leftS / 60)}:${String(leftS % 60).padStart(2, "0")}`;
+    const text = { off: "Sound is off", on: "Pause sound", paused: `Sound paused ${minutes}` };
+    setText(this.button, text[state]);
+    const title = { off: "Sound is off: switch it on", on: "Pause sound for two minutes", paused: "Sound is paused: end the pause" };
+    setAttribute(this.button, "title", title[state]);
   }
 
   private play(context: AudioContext, priority: Priority): void {

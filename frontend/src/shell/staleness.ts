@@ -5,22 +5,22 @@ import { pageAlarm, type ShownAlarm } from "./alarms";
 
 const NOTICE_MS = 15_000;
 
-/** Says on every page when nothing arrives from the tool, and afterwards how long the page was blind. */
-export class Staleness {
+/** Says on every page that no data arrive from the tool and, once they are back, how long they were missing. */
+export class StalenessBanner {
   private noticeUntil = 0;
 
   constructor(private readonly model: Model) {}
 
-  /** Returns the page's own alarm when the data are gone. */
+  /** Returns the page's own alarm while no data arrive. */
   render(nowMs: number): ShownAlarm[] {
     const { freshness } = this.model;
-    if (this.model.isStarting || this.model.hasNoTool) freshness.nothingDue(nowMs);
+    if (this.model.isStarting || this.model.hasNoTool) freshness.expectNoData(nowMs);
     const lost = freshness.at(nowMs) === "lost";
     const age = freshness.ageMs(nowMs);
     const banner = byId("stale-banner");
     setHidden(banner, !lost);
     if (lost) setText(banner, this.lostText(nowMs - age, age));
-    this.tellBlindTime(nowMs);
+    this.showOutage(nowMs);
     return lost ? [this.alarm(nowMs - age)] : [];
   }
 
@@ -38,12 +38,12 @@ export class Staleness {
     return pageAlarm("page:no-data", priority, this.model.connected ? "No data from the tool" : "No connection to the server", since);
   }
 
-  private tellBlindTime(nowMs: number): void {
-    const blind = this.model.freshness.takeBlindTime();
+  private showOutage(nowMs: number): void {
+    const outage = this.model.freshness.takeOutage();
     const notice = byId("notice");
-    if (blind) {
+    if (outage) {
       this.noticeUntil = nowMs + NOTICE_MS;
-      setText(notice, `Data are back. This page saw nothing for ${duration(blind.forMs)}, from ${clockTime(blind.from)} on.`);
+      setText(notice, `Data are back. This page saw nothing for ${duration(outage.forMs)}, from ${clockTime(outage.from)} on.`);
     }
     setHidden(notice, nowMs > this.noticeUntil || this.model.freshness.at(nowMs) === "lost");
   }

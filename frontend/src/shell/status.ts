@@ -5,11 +5,11 @@ import { pageAlarm, type ShownAlarm } from "./alarms";
 import type { ToolKind } from "../wire";
 
 const KIND: Record<ToolKind, string> = { simulated: "SIMULATED", nidaq: "REAL TOOL", recording: "NO TOOL" };
-/** Share of the old mean that stays at each frame: about one second at 30 frames a second. */
-const MEAN_KEEPS = 0.97;
-const LITTLE_DISK_BYTES = 1e9;
+/** Weight of the old mean at each frame: averages over about one second at 30 frames a second. */
+const MEAN_WEIGHT = 0.97;
+const LOW_DISK_BYTES = 1e9;
 
-/** Which tool this is, and how well the chain from sample to screen runs. */
+/** Shows which tool this is, and the rates and delays on the way from a sample to the screen. */
 export class StatusStrip {
   private toScreenMs = NaN;
 
@@ -22,7 +22,7 @@ export class StatusStrip {
     setText(byId("tool-title"), this.titleInWords());
     setHidden(byId("demo"), !state?.demo);
     setText(byId("demo"), state?.demo ? `Demonstration: ${state.demo}` : "");
-    const live = this.model.connected && state !== null; // else the server's last word is no news any more
+    const live = this.model.connected && state !== null; // without a connection the last state is out of date
     setText(byId("status-rate"), live ? fixed(state.rate_hz, 0, "Hz") : NO_VALUE);
     setText(byId("status-lost"), state ? String(state.lost_samples) : NO_VALUE);
     setData(byId("status-lost"), "warn", String((state?.lost_samples ?? 0) > 0));
@@ -34,12 +34,12 @@ export class StatusStrip {
     this.renderRecording();
     const free = state?.free_disk_bytes ?? null;
     setText(byId("status-disk"), free === null ? NO_VALUE : bytes(free));
-    setData(byId("status-disk"), "warn", String(free !== null && free < LITTLE_DISK_BYTES));
+    setData(byId("status-disk"), "warn", String(free !== null && free < LOW_DISK_BYTES));
     setText(byId("status-viewers"), state ? String(state.viewers) : NO_VALUE);
     this.renderNews(state?.faults ?? []);
   }
 
-  /** Whether what happens is kept: a run's recording grows, or why there is none. */
+  /** Shows whether a recording is being written and for how long, or why not. */
   private renderRecording(): void {
     const recording = this.model.state?.recording;
     const rateHz = this.model.hello?.tool.sample_rate_hz ?? NaN;
@@ -60,7 +60,7 @@ export class StatusStrip {
     return hello.tool.title;
   }
 
-  /** What is at fault, or else the last thing that happened. */
+  /** Shows the faults or, if there are none, the last event. */
   private renderNews(faults: string[]): void {
     const news = faults.length > 0 ? inOneLine(faults) : this.model.lastEvent;
     setHidden(byId("status-news"), news === null);
@@ -69,12 +69,12 @@ export class StatusStrip {
     setData(byId("status-event"), "warn", String(faults.length > 0));
   }
 
-  /** A frame has just been drawn whose newest sample was taken at `newestMs` by the server's clock. */
-  drawn(newestMs: number, nowMs: number): void {
+  /** Records the delay of a drawn frame. `newestMs` is the time of its newest sample on the server's clock. */
+  onDrawn(newestMs: number, nowMs: number): void {
     const latency = Math.max(0, nowMs - this.model.clock.toPage(newestMs));
     if (!Number.isFinite(latency)) return;
     this.toScreenMs = Number.isFinite(this.toScreenMs)
-      ? MEAN_KEEPS * this.toScreenMs + (1 - MEAN_KEEPS) * latency
+      ? MEAN_WEIGHT * this.toScreenMs + (1 - MEAN_WEIGHT) * latency
       : latency;
   }
 

@@ -8,7 +8,7 @@ import type { Person } from "./person";
 
 const SUCCESS_SHOWN_MS = 15_000;
 
-/** One button, one key, no question: stops whatever runs and says what it did. */
+/** The STOP button: stops the run without a question and says what was stopped. */
 export class StopButton {
   private failedAt: number | null = null;
   private latest = 0;
@@ -25,33 +25,33 @@ export class StopButton {
   async stop(): Promise<void> {
     const attempt = ++this.latest;
     const pressedAt = performance.now();
-    this.say("Stopping…", "pending");
+    this.showMessage("Stopping…", "pending");
     setAttribute(byId("stop"), "aria-busy", "true");
     try {
       const answer = await sendStop(this.person.name);
       if (attempt !== this.latest) return;
       this.failedAt = null;
       this.stoppedRun = answer.run?.id ?? null;
-      this.say(`${inWords(answer)} (${clockTime(pressedAt)})`, "done");
+      this.showMessage(`${inWords(answer)} (${clockTime(pressedAt)})`, "done");
       setTimeout(() => attempt === this.latest && setHidden(this.message, true), SUCCESS_SHOWN_MS);
     } catch (error) {
       if (attempt !== this.latest) return;
       this.failedAt = pressedAt;
       const what = error instanceof Refused ? "STOP was refused" : "STOP could not be sent";
-      this.say(`${what} – use the hardware switch. ${clockTime(pressedAt)}: ${messageOf(error)}.`, "failed");
+      this.showMessage(`${what} – use the hardware switch. ${clockTime(pressedAt)}: ${messageOf(error)}.`, "failed");
     } finally {
       if (attempt === this.latest) setAttribute(byId("stop"), "aria-busy", "false");
     }
   }
 
-  /** What a stop did is no longer true once another run moves the motor. */
+  /** Hides the message about the last STOP as soon as another run moves the motor. */
   render(runningRun: string | null): void {
     if (runningRun !== null && runningRun !== this.stoppedRun && this.message.dataset.outcome === "done") {
       setHidden(this.message, true);
     }
   }
 
-  /** A stop that did not reach the tool stays an alarm until one does, or the tool is known to stand still. */
+  /** Returns an alarm for a STOP that failed, until another STOP succeeds or the tool is known to stand still. */
   alarms(nowMs: number): ShownAlarm[] {
     if (this.failedAt === null) return [];
     if (this.model.standsStillSince(this.failedAt, nowMs)) {
@@ -67,11 +67,11 @@ export class StopButton {
     this.failedAt = null;
     this.stoppedRun = null;
     const why = run?.why ? ` Last run ${run.state}: ${run.why}.` : "";
-    this.say(`The motor is at zero now. STOP of ${clockTime(pressedAt)} did not come through.${why}`, "done");
+    this.showMessage(`The motor is at zero now. STOP of ${clockTime(pressedAt)} did not come through.${why}`, "done");
     setTimeout(() => attempt === this.latest && setHidden(this.message, true), SUCCESS_SHOWN_MS);
   }
 
-  private say(text: string, outcome: "pending" | "done" | "failed"): void {
+  private showMessage(text: string, outcome: "pending" | "done" | "failed"): void {
     setText(this.message, text);
     setData(this.message, "outcome", outcome);
     setHidden(this.message, false);

@@ -2,7 +2,7 @@ import { byId, setText } from "../dom";
 
 const KEY = "graspwatch-theme";
 
-/** Dark unless the person or, where nothing was chosen, the system wants light. */
+/** The dark or light theme: the person's choice, else the system's preference, else dark. */
 export class Theme {
   constructor(private readonly onChange: () => void) {
     const chosen = localStorage.getItem(KEY);

@@ -1,2 +1,2 @@
-/** A clock that goes on while the tab is hidden, when the page's own timers are held back to one a minute. */
+/** Ticks ten times a second while the tab is hidden too, when browsers slow the page's own timers to one a minute. */
 setInterval(() => postMessage(null), 100);

@@ -1,17 +1,22 @@
-import { byId, setData, setText } from "../dom";
+import { setData, setText } from "../dom";
 import { duration } from "../format";
 import type { Freshness } from "../live/freshness";
 import type { Model } from "../live/model";
 
-/** Greys what is old on the watch page and says how old it is. A replay is marked as a whole instead. */
-export class Ages {
-  private readonly ages = [...byId("watch").querySelectorAll<HTMLElement>("[data-age]")];
+/** Grays out old values on the watch page and shows their age. In a replay it only marks a lost connection. */
+export class AgeLabels {
+  private readonly ages: HTMLElement[];
 
-  constructor(private readonly model: Model) {}
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly model: Model,
+  ) {
+    this.ages = [...root.querySelectorAll<HTMLElement>("[data-age]")];
+  }
 
   render(nowMs: number): void {
     const freshness = this.model.isReplay ? (this.model.connected ? "live" : "lost") : this.model.freshness.at(nowMs);
-    setData(byId("watch"), "freshness", freshness);
+    setData(this.root, "freshness", freshness);
     for (const element of this.ages) setText(element, this.inWords(freshness, this.model.freshness.ageMs(nowMs)));
   }
 
