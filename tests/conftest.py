@@ -37,10 +37,15 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each module to one worker of xdist, and all browser tests to one: without a GPU a page takes a core."""
+    """Run browser tests alone: without a GPU a page takes one core, and its live tool most of another.
+
+    Each module belongs to one worker of xdist. The tests of the documentation share one, because they share a port.
+    """
     for item in items:
-        is_browser = item.get_closest_marker("browser") is not None
-        item.add_marker(pytest.mark.xdist_group("browser" if is_browser else item.nodeid.partition("::")[0]))
+        if item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.alone)
+        module = item.nodeid.partition("::")[0]
+        item.add_marker(pytest.mark.xdist_group("docs" if module.startswith("tests/docs/") else module))
 
 
 def reactions_of(item: pytest.Item) -> Reactions:
