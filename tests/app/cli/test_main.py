@@ -338,7 +338,7 @@ def refusals(folder: Path, taken_port: int) -> dict[str, Answer]:
         "tool": ("serve", "--tool", "nidaqmx"),
     }
     if not HAS_DRIVER:  # else this would open a real board
-        calls["driver"] = ("serve", "--tool", "nidaq")
+        calls["driver"] = ("serve", "--tool", "nidaq", "--port", "0")
     return each(calls)
 
 
