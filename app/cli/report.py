@@ -20,7 +20,6 @@ from estimator.decision import UNDECIDED
 if TYPE_CHECKING:
     from app.analysis.report.report import Report
 
-RECORDING_SUFFIXES = (".mcap", ".lvm", ".lvm.gz")
 TISSUE_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_]*")
 # An earlier report, which may be overwritten, has its marker in its first bytes.
 PAGE_MARKER, DATA_MARKER = ('<meta name="generator" content="Graspwatch report">', '"report": "Report: ')
@@ -100,6 +99,8 @@ def _find_recording(name: str, folder: Path) -> Path:
     Raises:
         ConfigurationError: there is no such file or recording.
     """
+    from app.recordings.catalog import RECORDING_SUFFIXES  # a slow import
+
     places = [Path(name), *(folder / f"{name}{ending}" for ending in ("", *RECORDING_SUFFIXES))]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
