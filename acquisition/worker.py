@@ -1,6 +1,7 @@
 """The acquisition worker: the process that owns the tool, conditions its samples and commands its motor."""
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from multiprocessing.synchronize import Event
 
@@ -10,6 +11,7 @@ from acquisition import bus
 from acquisition.acquisition_loop import AcquisitionController, describe_release
 from acquisition.drivers.nidaq import NidaqSource
 from acquisition.safety.force_limiter import ForceLimiter
+from acquisition.safety.safety_monitor import RESET_AFTER_SILENCE_S
 from acquisition.safety.server_watch import ServerWatchdog
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
@@ -22,6 +24,8 @@ REALTIME_PRIORITY = 80
 POLL_INTERVAL_S = 0.1
 PRIORITY_RENEWAL_INTERVAL_S = 1.0
 STALL_THRESHOLD_S = 0.5
+ERROR_AFTER_DELAY_S = 1.0
+"""An error of the board this soon after a delay is taken for a consequence of the delay."""
 """A turn takes 5 ms, or 20 ms if samples fail to come; a longer turn means that this process was held up."""
 MAX_COMMANDS_PER_BLOCK = 20  # bounds the delay of a stop behind other commands
 
@@ -78,7 +82,7 @@ def _run_acquisition(
     with source:
         granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=0)
         publisher.send_multipart(bus.pack_notice("acquiring", realtime=str(granted)))
-        stalls, renewed_s = _StallDetector(source, acquisition, publisher), time.monotonic()
+        stalls, renewed_s = StallDetector(source, acquisition, publisher), time.monotonic()
         while not stop.is_set and (block := stalls.process_block()) is not None:
             publisher.send_multipart(bus.pack_samples(block))
             _publish_events(acquisition, publisher)
@@ -109,16 +113,24 @@ def _run_acquisition(
         _publish_events(acquisition, publisher)
 
 
-class _StallDetector:
+class StallDetector:
     """Reader of blocks that detects when this process was held up: stopped, swapped out or suspended with the machine.
 
     The board keeps samples for 10 s; the worker reads and publishes them late. After a longer delay, or after a reset
-    by the safety monitor, it opens the board again and counts the samples in between as lost.
+    by the safety monitor, it opens the board again and counts the samples in between as lost. The board's error may
+    come some reads after the delay, because a read that was under way is answered first.
     """
 
-    def __init__(self, source: NidaqSource, acquisition: AcquisitionController, publisher: zmq.Socket) -> None:
-        self._source, self._acquisition, self._publisher = source, acquisition, publisher
-        self._last_block_s = time.monotonic()
+    def __init__(
+        self,
+        source: NidaqSource,
+        acquisition: AcquisitionController,
+        publisher: zmq.Socket,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._source, self._acquisition, self._publisher, self._clock = source, acquisition, publisher, clock
+        self._last_block_s = clock()
+        self._delay_s, self._delay_end_s = 0.0, float("-inf")
 
     def process_block(self) -> SampleBlock | None:
         """Return the next block.
@@ -129,24 +141,34 @@ class _StallDetector:
         try:
             block = self._acquisition.process_block()
         except ToolError:
-            if not (stalled := self._detect_stall()):
+            self._measure_delay()
+            if self._clock() - self._delay_end_s > ERROR_AFTER_DELAY_S:
                 raise
+            self._delay_end_s = float("-inf")  # another error right after this one is the board's own
             self._source.reopen()
-            why = f"{stalled}; the board had to be opened again: arm the tool again"
+            why = f"{_describe_delay(self._delay_s)}; the board had to be opened again: arm the tool again"
             self._acquisition.restart_after_reopen(why)
             self._publish_stall(why)
+            self._last_block_s = self._clock()
             return self.process_block()
-        if stalled := self._detect_stall():
-            self._publish_stall(stalled)
+        if self._measure_delay() > STALL_THRESHOLD_S:
+            self._publish_stall(_describe_delay(self._delay_s))
         return block
 
-    def _detect_stall(self) -> str | None:
-        before_s, self._last_block_s = self._last_block_s, time.monotonic()
-        stalled_s = self._last_block_s - before_s
-        return f"The acquisition was held up for {stalled_s:.1f} s" if stalled_s > STALL_THRESHOLD_S else None
+    def _measure_delay(self) -> float:
+        """Return the seconds since the last block; remember a delay in which the safety monitor may have reset the board."""
+        before_s, self._last_block_s = self._last_block_s, self._clock()
+        delay_s = self._last_block_s - before_s
+        if delay_s >= RESET_AFTER_SILENCE_S:
+            self._delay_s, self._delay_end_s = delay_s, self._last_block_s
+        return delay_s
 
     def _publish_stall(self, text: str) -> None:
         self._publisher.send_multipart(bus.pack_notice("stalled", text=text))
+
+
+def _describe_delay(delay_s: float) -> str:
+    return f"The acquisition was held up for {delay_s:.1f} s"
 
 
 def _publish_events(acquisition: AcquisitionController, publisher: zmq.Socket) -> None:

@@ -39,13 +39,12 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Run browser tests alone: without a GPU a page takes one core, and its live tool most of another.
 
-    Each module belongs to one worker of xdist. The tests of the documentation share one, because they share a port.
+    Each module belongs to one worker of xdist.
     """
     for item in items:
         if item.get_closest_marker("browser"):
             item.add_marker(pytest.mark.alone)
-        module = item.nodeid.partition("::")[0]
-        item.add_marker(pytest.mark.xdist_group("docs" if module.startswith("tests/docs/") else module))
+        item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
 
 
 def reactions_of(item: pytest.Item) -> Reactions:

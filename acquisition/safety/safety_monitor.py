@@ -22,6 +22,7 @@ REALTIME_PRIORITY = 70
 POLL_INTERVAL_MS = 10
 SILENT_POLLS = 6
 """Consecutive polls without a block, 60 to 70 ms. Polls count, not time: a delayed safety monitor saw nothing."""
+RESET_AFTER_SILENCE_S = SILENT_POLLS * POLL_INTERVAL_MS / 1e3
 REPORT_INTERVAL_S = 0.1
 RETRY_POLLS = 5  # after a reset that failed
 CPU_BURST_US = 100_000
@@ -76,7 +77,9 @@ def _reset_to_zero(tool: Tool, publisher: zmq.Socket) -> bool:
         publisher.send_multipart(bus.pack_notice("not_zeroed", text=str(error)))
         return False
     took_ms = (time.monotonic() - begin_s) * 1e3
-    silent_ms = SILENT_POLLS * POLL_INTERVAL_MS
-    text = f"The acquisition was silent for {silent_ms} ms: the motor is at zero by a reset that took {took_ms:.0f} ms"
+    silent_ms = RESET_AFTER_SILENCE_S * 1e3
+    text = (
+        f"The acquisition was silent for {silent_ms:.0f} ms: the motor is at zero by a reset that took {took_ms:.0f} ms"
+    )
     publisher.send_multipart(bus.pack_notice("zeroed", text=text))
     return True

@@ -1,5 +1,7 @@
 """The Prometheus metrics that an administrator watches (`GET /metrics`)."""
 
+from collections.abc import Iterable
+
 from prometheus_client import (
     CollectorRegistry,
     Counter,
@@ -24,7 +26,8 @@ SERVER_DELAY_BUCKETS_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0,
 class Metrics:
     """The metrics of one service, in a registry of their own."""
 
-    def __init__(self) -> None:
+    def __init__(self, workers: Iterable[str], labels: Iterable[str]) -> None:
+        """Make all series, each at 0: an alert rule does not see a series rise that begins with its first event."""
         registry = self._registry = CollectorRegistry()
         ProcessCollector(registry=registry)
         PlatformCollector(registry=registry)
@@ -73,6 +76,13 @@ class Metrics:
         self.worker_deaths = Counter(
             "graspwatch_worker_deaths", "Workers that died, by worker", ["worker"], registry=registry
         )
+        for worker in workers:
+            self.worker_deaths.labels(worker)
+        for label in labels:
+            self.grasps.labels(label)
+        for receiver in ("server", "estimator"):
+            self.missing_blocks.labels(receiver)
+        self.set_alarm_counts([])
 
     def set_alarm_counts(self, alarms: list[Alarm]) -> None:
         """Set the number of alarms of each kind and priority, zeros included."""

@@ -57,6 +57,7 @@ from config.errors import GraspwatchError, RefusedError, ServiceError
 from config.load import build_graspable_library
 from config.schema import GraspProtocol, ToolKind
 from config.service_plan import ServicePlan
+from estimator.decision import UNDECIDED, UNKNOWN
 from estimator.estimate_block import finite_or_none
 from estimator.worker import unpack_estimates
 
@@ -76,12 +77,13 @@ class ToolService:
     def __init__(self, plan: ServicePlan, store: Store, log_context: LogContext) -> None:
         self.plan, self.log_context = plan, log_context
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
-        self.metrics = Metrics()
         self.viewer_hub = ViewerHub(plan.settings.server.chart_window_frames)
         self.index_writer = IndexWriter(store, plan.data_folder / BEHIND_MARKER_FILE, self._on_index_fault)
         self.journal = Journal(plan.data_folder, self._on_journal_fault, self._record)
         self.alarms = AlarmManager(self._publish, self.journal)
         self.supervisor = Supervisor(plan, self._on_worker_death, self._on_motor_fault, self.supervise_task)
+        labels = (*plan.library.tissues, UNKNOWN, UNDECIDED)
+        self.metrics = Metrics(self.supervisor.workers, labels)
         self.watchdog = Watchdog(self.supervisor, self.alarms, self.publish_event)
         self.runs = RunRegistry()
         self.control_lease = ControlLease(plan.settings.people.control_expires_s)

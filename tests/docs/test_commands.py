@@ -2,11 +2,12 @@
 
 `console` blocks are for the machine (make, sudo, docker), and not for a test. RECORDING, RUN and the like stand for the
 reader's own: files of such names are put into the folder, RUN is the newest recording there. A `python` block with a
-title is saved under that name.
+title is saved under that name. The service gets a free port instead of 8000, which may be in use on this machine.
 """
 
 import os
 import re
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -49,13 +50,20 @@ def blocks(page: str) -> list[tuple[str, str, str]]:
     return [(language, title, content) for language, title, content in found]
 
 
-def stage(folder: Path) -> dict[str, str]:
+def free_port() -> int:
+    with socket.create_server(("", 0)) as listener:
+        return listener.getsockname()[1]
+
+
+def stage(folder: Path, port: int) -> dict[str, str]:
     """Everything that a reader would have; returns the environment of his shell."""
     programs = folder / "programs"
     programs.mkdir()
     serving = f'"{sys.executable}" "{Path(__file__).with_name("serving.py")}" "{folder}"'
     (programs / "graspwatch").write_text(
-        f'#!/bin/sh\ncase " $* " in\n*" serve "*|*" --serve "*) exec {serving} "{PROGRAMS}/graspwatch" "$@" ;;\n'
+        f'#!/bin/sh\ncase " $* " in\n'
+        f'*" serve "*|*" --serve "*) exec {serving} "{PROGRAMS}/graspwatch" "$@" --port {port} ;;\n'
+        f'*" support "*) exec "{PROGRAMS}/graspwatch" "$@" --url http://localhost:{port} ;;\n'
         f'*) exec "{PROGRAMS}/graspwatch" "$@" ;;\nesac\n'
     )
     (programs / "graspwatch").chmod(0o755)
@@ -70,9 +78,11 @@ def stage(folder: Path) -> dict[str, str]:
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", PAGES)
 def test_every_command_of_a_page_works(page: str, tmp_path: Path) -> None:
-    environment, here = stage(tmp_path), tmp_path / "here"
+    port = free_port()
+    environment, here = stage(tmp_path, port), tmp_path / "here"
     script = ["set -eu"]
-    for language, title, content in blocks(page):
+    for language, title, block in blocks(page):
+        content = block.replace("localhost:8000", f"localhost:{port}")
         if language == "python" and title:
             (here / title).write_text(content, encoding="utf-8")
         if language == "sh":

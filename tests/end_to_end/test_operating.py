@@ -107,13 +107,24 @@ def expressions(of: str) -> list[str]:
 
 
 @pytest.mark.parametrize("of", ["dashboard", "alerts"])
-def test_every_metric_that_is_watched_is_told(service: Service, of: str) -> None:
-    service.finished(service.run(protocol="trapezoid_4hz", cycles=1, tissue="liver")["id"])
+def test_every_metric_that_is_watched_exists_from_the_start(service: Service, of: str) -> None:
     told = set(re.findall(r"^([a-z_]+)", service.http.get("/metrics").text, re.MULTILINE)) | {"up"}
     names = re.compile(r"\b(?:graspwatch|process)_[a-z_]+|\bup\b")
     watched = {name for each in expressions(of) for name in names.findall(each)}
     assert len(watched) > 5
     assert watched - told <= {"graspwatch_phase"}  # also a label of its own metric
+
+
+def test_every_worker_and_label_has_its_series_before_its_first_event(service: Service) -> None:
+    text = service.http.get("/metrics").text
+    assert set(re.findall(r'^graspwatch_worker_deaths_total\{worker="(\w+)"\}', text, re.M)) == set(
+        service.conditions()
+    )
+    tissues = {each["name"] for each in service.http.get("/api/tissues").json()["tissues"]}
+    assert set(re.findall(r'^graspwatch_grasps_total\{label="(\w+)"\}', text, re.M)) == tissues | {
+        "unknown",
+        "undecided",
+    }
 
 
 def test_the_metrics_say_where_the_tool_stands(service: Service) -> None:
