@@ -156,7 +156,7 @@ class StallDetector:
         return block
 
     def _measure_delay(self) -> float:
-        """Return the seconds since the last block; remember a delay in which the safety monitor may have reset the board."""
+        """Return the seconds since the last block; remember a delay long enough for a reset of the board."""
         before_s, self._last_block_s = self._last_block_s, self._clock()
         delay_s = self._last_block_s - before_s
         if delay_s >= RESET_AFTER_SILENCE_S:
