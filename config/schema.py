@@ -195,6 +195,10 @@ def _add_default_interval(scale: ForceScale | float) -> ForceScale:
     )
 
 
+EQ2_AS_PRINTED = _add_default_interval(1.0)
+"""The force scale of a tool file that states none."""
+
+
 def _choose_scale_tag(given: Any) -> str:
     return "number" if isinstance(given, int | float) and not isinstance(given, bool) else "table"
 
@@ -221,8 +225,8 @@ class ToolCalibration(ConfigModel):
     """Turn of the encoder by the cable's stretch, degrees per volt, Eq. (3). `calibrate stretch`."""
     handle_per_encoder: Positive
     """Degrees of the handle per degree of the encoder, Eq. (5). `calibrate geometry`."""
-    jaw_force_scale: ForceScaleOrNumber = _add_default_interval(1.0)
-    """Jaw force is Eq. (2) times this. A number alone counts as not measured."""
+    jaw_force_scale: ForceScaleOrNumber = EQ2_AS_PRINTED
+    """Jaw force is Eq. (2) times this. A number alone counts as not measured. `calibrate force`."""
     rest_offset_v: Finite
     """Voltage of the strain gage at rest, V. `calibrate tare`."""
     rest_tolerance_v: Positive

@@ -11,7 +11,7 @@ from tomlkit.items import Table
 
 from config.errors import ConfigurationError
 from config.load import find_tool_file, load_tool
-from config.schema import ConstantMeasurement
+from config.schema import ConstantMeasurement, ForceScale
 
 DATE_SUFFIX = re.compile(r"-\d{4}-\d{2}-\d{2}(-\d+)?$")
 MAX_FILES_PER_DAY = 1000
@@ -19,13 +19,18 @@ SIGNIFICANT_DIGITS = 6
 
 
 def write_calibrated_tool(
-    tool: str, values: Mapping[str, float], measured: Sequence[ConstantMeasurement], today: date, into: Path
+    tool: str,
+    values: Mapping[str, float | ForceScale],
+    measured: Sequence[ConstantMeasurement],
+    today: date,
+    into: Path,
 ) -> Path:
     """Write a copy of a tool file with other constants and return its path.
 
     Args:
         tool: name or path of the old file.
-        values: new constants by their place in the file, `table.key`, e.g. `calibration.newton_per_volt`.
+        values: new constants by their place in the file, `table.key`, e.g. `calibration.newton_per_volt`. A force
+            scale brings its own date and expiry.
         measured: measurements of these constants. Other constants keep their dates and expiries.
         today: date in the new file's name.
         into: folder of the new file, which never overwrites another.
@@ -37,7 +42,12 @@ def write_calibrated_tool(
     document = tomlkit.parse(old.read_text(encoding="utf-8"))
     for place, value in values.items():
         table, key = place.split(".")
-        document[table][key] = _round_value(value)
+        if isinstance(value, ForceScale):
+            content = {name: _round_value(each) for name, each in value.model_dump(exclude_none=True).items()}
+            document[table].pop(key, None)  # a table must stand after the keys of the table around it
+            document[table][key] = tomlkit.item(content)
+        else:
+            document[table][key] = _round_value(value)
     calibration: Table = document["calibration"]
     anew = {how.constant for how in measured}
     kept = [table for table in calibration.pop("measured", []) if table["constant"] not in anew]

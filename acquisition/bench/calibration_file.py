@@ -4,7 +4,7 @@ from datetime import date, timedelta
 from pathlib import Path
 
 from acquisition.bench.fits import CalibrationFit
-from config.schema import ConstantMeasurement
+from config.schema import FORCE_SCALE_KEY, ConstantMeasurement, ForceScale
 from config.writing import write_calibrated_tool
 
 
@@ -15,6 +15,19 @@ def write_calibration_file(fit: CalibrationFit, tool: str, person: str, valid_da
         ConfigurationError: the folder cannot be written to, or the outcome is no valid tool file.
     """
     today = date.today()
+    expires = today + timedelta(days=valid_days)
+    values: dict[str, float | ForceScale] = {each.key: each.value for each in fit.constants}
+    for each in fit.constants:
+        if each.key == f"calibration.{FORCE_SCALE_KEY}":
+            values[each.key] = ForceScale(
+                value=each.value,
+                low=each.low,
+                high=each.high,
+                measured=True,
+                source=f"load cell between the jaws, {each.readings} readings by {person}",
+                date=today,
+                expires=expires,
+            )
     measured = [
         ConstantMeasurement(
             constant=each.key.partition(".")[2],
@@ -27,9 +40,9 @@ def write_calibration_file(fit: CalibrationFit, tool: str, person: str, valid_da
             readings=each.readings,
             date=today,
             person=person,
-            expires=today + timedelta(days=valid_days),
+            expires=expires,
         )
         for each in fit.constants
+        if not isinstance(values[each.key], ForceScale)
     ]
-    values = {each.key: each.value for each in fit.constants}
     return write_calibrated_tool(tool, values, measured, today, folder)

@@ -10,7 +10,7 @@ import numpy as np
 from acquisition.drivers.nidaq import READ_TIMEOUT_MARGIN_S, BoardInfo
 from acquisition.safety.self_test import MAX_REST_MOTION_DEG, compute_noise_range_v
 from acquisition.signals.grasp_tracker import COMMAND_ON_V
-from config.schema import CALIBRATION_COMMANDS, Tool
+from config.schema import CALIBRATION_COMMANDS, FORCE_SCALE_KEY, Tool
 
 RATE_TOLERANCE = 1e-3  # crystals are a hundred times better; a clock of another source is not
 MAX_LATENESS_MS = 1e3 * READ_TIMEOUT_MARGIN_S
@@ -92,10 +92,10 @@ def check_calibration(tool: Tool, today: datetime.date) -> CheckResult:
     check = "calibration"
     if expired := tool.find_expired_constants(today):
         names = ", ".join(f"{each.constant} of {each.date}, on {each.expires}" for each in expired)
-        how = dict.fromkeys(
-            CALIBRATION_COMMANDS[each.constant] for each in expired if each.constant in CALIBRATION_COMMANDS
+        commands = CALIBRATION_COMMANDS | {FORCE_SCALE_KEY: "force"}
+        what = ", ".join(
+            f"`graspwatch calibrate {each}`" for each in dict.fromkeys(commands[e.constant] for e in expired)
         )
-        what = ", ".join(f"`graspwatch calibrate {each}`" for each in how) or "see `force scale`"
         return CheckResult(check, CheckOutcome.FAIL, f"expired: {names}. Measure these anew: {what}.")
     dates = sorted(each.expires for each in tool.constant_origins if each.expires)
     found = f"the oldest constant is of {min(each.date for each in tool.constant_origins)}"
@@ -110,8 +110,8 @@ def check_force_scale(tool: Tool) -> CheckResult:
     if tool.has_known_scale:
         return CheckResult(check, CheckOutcome.PASS, tool.scale_text)
     text = (
-        f"{tool.scale_text}: the tool is not armed before it is. Close the jaws on a load cell (an admin arms the "
-        "tool for that with a reason), and state the ratio to the force shown under [calibration.jaw_force_scale]."
+        f"{tool.scale_text}: the tool is not armed before it is. Put a load cell between the jaws, and measure it "
+        "with `graspwatch calibrate force`."
     )
     return CheckResult(check, CheckOutcome.FAIL, text)
 

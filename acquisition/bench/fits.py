@@ -13,7 +13,7 @@ from acquisition.bench.checks import SATURATION_SHARE, RawSignals
 from acquisition.safety.self_test import MAX_REST_MOTION_DEG, compute_noise_range_v
 from acquisition.signals.calibration import compute_jaw_signals
 from config.errors import CalibrationError
-from config.schema import Tool
+from config.schema import EQ2_AS_PRINTED, FORCE_SCALE_KEY, ForceScale, Tool
 
 CONFIDENCE = 0.95
 REST_SEGMENTS = 20  # of a reading at rest: their means scatter as slowly as the offset drifts
@@ -26,6 +26,9 @@ MAX_CURVATURE_SHARE = 0.05
 MIN_STRETCH_SHARE = 0.6  # of the stretch that the tool file names
 MAX_PASS_SCATTER_SHARE = 0.1  # of the stretch, for the standard deviation from pass to pass
 MAX_GAUGE_RESIDUAL_M = 1e-4
+MIN_JAW_FORCES = 5
+MAX_SCALE_RESIDUAL_SHARE = 0.05  # of the span: a constant scale must describe the transmission
+MAX_SCALE_INTERVAL_SHARE = 0.1  # of the scale, for half of its confidence interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +63,8 @@ class CalibrationFit:
 def read_current_value(constant: FittedConstant, tool: Tool) -> float | None:
     """Return the constant's value in the tool file."""
     table, key = constant.key.split(".")
-    return getattr(getattr(tool, table), key)
+    found = getattr(getattr(tool, table), key)
+    return found.value if isinstance(found, ForceScale) else found
 
 
 def fit_tare(rest: RawSignals, tool: Tool) -> CalibrationFit:
@@ -179,6 +183,80 @@ def check_pulls(weights_n: Sequence[float] | np.ndarray) -> np.ndarray:
             "the unloaded gage (0) included."
         )
     return pulls_n
+
+
+def fit_force_scale(
+    forces_n: Sequence[float] | np.ndarray, readings: Sequence[RawSignals], tool: Tool, load_cell_error: float
+) -> CalibrationFit:
+    """Fit the force scale to known forces between the jaws, N: the jaw force is Eq. (2) times the scale.
+
+    Args:
+        forces_n: force that a load cell between the jaws showed at each reading. The first is 0, with open jaws.
+        readings: at rest, with the motor at zero, in the same order.
+        tool: its other constants must be calibrated before.
+        load_cell_error: of the load cell, as a share of its reading. It widens the interval.
+
+    Raises:
+        CalibrationError: too few or impossible forces, or readings that are not in proportion to them.
+    """
+    known_n = check_jaw_forces(forces_n)
+    for force_n, reading in zip(known_n, readings, strict=True):
+        check_steady(reading, f"{force_n:g} N", tool)
+    strain_v = np.array([float(reading.strain_v.mean()) for reading in readings])
+    encoder_deg = np.array([float(reading.encoder_deg.mean()) for reading in readings])
+    unscaled = tool.calibration.model_copy(update={FORCE_SCALE_KEY: EQ2_AS_PRINTED})
+    jaws = compute_jaw_signals(
+        tool.model_copy(update={"calibration": unscaled}), strain_v - strain_v[0], encoder_deg - encoder_deg[0]
+    )
+    if not jaws.valid.all():
+        worst_n = known_n[int(np.argmin(jaws.valid))]
+        raise CalibrationError(
+            f"At {worst_n:g} N the linkage of the tool file cannot be where the encoder says: calibrate stretch and "
+            "geometry before, and do not turn the tool off between the readings."
+        )
+    scale, intercept_n, scale_se = _fit_line(jaws.force_n, known_n)
+    left_n = known_n - (intercept_n + scale * jaws.force_n)
+    worst = int(np.abs(left_n).argmax())
+    if not scale > 0 or abs(left_n[worst]) > MAX_SCALE_RESIDUAL_SHARE * float(np.ptp(known_n)):
+        raise CalibrationError(
+            f"The reading at {known_n[worst]:g} N is not in proportion to the others: the load cell shifted or was "
+            "read wrong, or a joint rubs. Oil the joints, and repeat."
+        )
+    half = _compute_student_quantile(len(known_n) - 2) * scale_se
+    constant = FittedConstant(
+        f"calibration.{FORCE_SCALE_KEY}",
+        scale,
+        (scale - half) * (1 - load_cell_error),
+        (scale + half) * (1 + load_cell_error),
+        "of Eq. (2)",
+        float(np.sqrt(np.mean(left_n**2))),
+        "N",
+        len(known_n),
+    )
+    _check_interval_width(constant, MAX_SCALE_INTERVAL_SHARE)
+    along_n = np.array([jaws.force_n.min(), jaws.force_n.max()])
+    return CalibrationFit(
+        (constant,),
+        (jaws.force_n, known_n),
+        (along_n, intercept_n + scale * along_n),
+        ("Eq. (2) as printed, N", "force between the jaws by the load cell, N"),
+    )
+
+
+def check_jaw_forces(forces_n: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the forces as an array.
+
+    Raises:
+        CalibrationError: there are too few, or impossible ones, or the first one is not 0.
+    """
+    known_n = np.array(forces_n, float)
+    if not np.isfinite(known_n).all() or (known_n < 0).any():
+        raise CalibrationError("A force is a number of newtons that is not negative: correct the list.")
+    if len(set(known_n.tolist())) < MIN_JAW_FORCES or known_n[0] != 0:
+        raise CalibrationError(
+            f"Give at least {MIN_JAW_FORCES} different forces, the first one 0: with open jaws and an untouched handle."
+        )
+    return known_n
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,13 +413,12 @@ def _build_slope_constant(
     return constant
 
 
-def _check_interval_width(constant: FittedConstant) -> None:
-    if not constant.interval_half_width_share <= MAX_INTERVAL_SHARE:
+def _check_interval_width(constant: FittedConstant, max_share: float = MAX_INTERVAL_SHARE) -> None:
+    if not constant.interval_half_width_share <= max_share:
         raise CalibrationError(
             f"`{constant.key}` comes out as {constant.value:.4g} {constant.unit}, known only to within "
-            f"{constant.interval_half_width_share:.1%}, and more than {MAX_INTERVAL_SHARE:.0%} are too "
-            f"many: take more readings, over a wider "
-            "range."
+            f"{constant.interval_half_width_share:.1%}, and more than {max_share:.0%} are too many: take more "
+            "readings, over a wider range."
         )
 
 

@@ -21,6 +21,7 @@ from acquisition.drivers.nidaq import NidaqSource
 from acquisition.recordings.recording import RecordingSource
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
+from acquisition.signals.calibration import compute_sensor_signals
 from acquisition.signals.grasp_tracker import COMMAND_ON_V
 from config.errors import CalibrationError
 from config.schema import ConditioningSettings, CustomWaveform, GraspProtocol, Tool
@@ -73,6 +74,14 @@ class CalibrationBench:
         """
         return self._read_still(WEIGHT_S, pull_n)
 
+    def read_under_jaw_force(self, force_n: float) -> RawSignals:
+        """Read with the motor at zero and a load cell between the jaws; a simulated handle is pulled for the force.
+
+        Raises:
+            ToolError: the board failed.
+        """
+        return self._read_still(WEIGHT_S, compute_handle_pull(self._tool, force_n))
+
     def _read_still(self, seconds: float, pull_n: float) -> RawSignals:
         self._set_load(pull_n, 0.0)
         with self._reading_context(), NidaqSource(self._tool, self._options, self._clock) as source:
@@ -118,6 +127,12 @@ class CalibrationBench:
         if ended.end is not RunOutcome.FINISHED:
             raise CalibrationError(f"Broken off with the motor at zero: {ended.why}.")
         return extract_passes(extract_signals(blocks), tool)
+
+
+def compute_handle_pull(tool: Tool, jaw_force_n: float) -> float:
+    """Return the pull on the handle, N, for a force between the open jaws."""
+    strain_v, _ = compute_sensor_signals(tool, jaw_force_n, 0.0)
+    return strain_v * tool.calibration.newton_per_volt
 
 
 def merge_passes(passes: Sequence[LoadingPass]) -> LoadingPass:

@@ -176,11 +176,16 @@ class SimulatedGrasper:
     def _read_strain(self, strain_v: float) -> float:
         if not self._noise_buffer_v:
             self._noise_buffer_v = (self._noise_rng.standard_normal(1000) * self._tool.noise.strain_sd_v).tolist()
-        hung_v = self.handle_pull_n / self._tool.calibration.newton_per_volt
-        volts = self._rest_v + strain_v + hung_v + self._noise_buffer_v.pop()
+        volts = self._rest_v + strain_v + self._pull_v + self._noise_buffer_v.pop()
         lsb = self._tool.noise.strain_lsb_v
         return round(volts / lsb) * lsb if lsb else volts
 
     def _read_encoder(self, encoder_deg: float) -> float:
-        count = self._tool.calibration.encoder_resolution_deg
-        return math.floor(encoder_deg / count) * count
+        calibration = self._tool.calibration
+        count = calibration.encoder_resolution_deg
+        stretched_deg = encoder_deg + calibration.encoder_deg_per_volt * self._pull_v
+        return math.floor(stretched_deg / count) * count
+
+    @property
+    def _pull_v(self) -> float:
+        return self.handle_pull_n / self._tool.calibration.newton_per_volt

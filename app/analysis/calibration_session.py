@@ -2,6 +2,7 @@
 
 import asyncio
 import getpass
+from itertools import dropwhile
 from pathlib import Path
 
 from acquisition import bus
@@ -28,7 +29,11 @@ from config.service_plan import ServicePlan
 from config.writing import check_writable
 
 SAMPLE_TIMEOUT_S = 3.0
-REST_DURATIONS_S = {CalibrationKind.TARE: readings.TARE_S, CalibrationKind.STRAIN: readings.WEIGHT_S}
+REST_DURATIONS_S = {
+    CalibrationKind.TARE: readings.TARE_S,
+    CalibrationKind.STRAIN: readings.WEIGHT_S,
+    CalibrationKind.FORCE: readings.WEIGHT_S,
+}
 MAX_PLOT_POINTS = 500
 NO_CALIBRATION = Calibration(what=None, values=[], readings=[], reading=False, problem=None, result=None)
 
@@ -67,6 +72,8 @@ class CalibrationSession:
         values = [0.0]
         if request.what is CalibrationKind.STRAIN:
             values = fits.check_pulls(request.values).tolist()
+        elif request.what is CalibrationKind.FORCE:
+            values = fits.check_jaw_forces(request.values).tolist()
         elif request.what is CalibrationKind.GEOMETRY:
             values = (fits.check_gauges([each * 1e-3 for each in request.values]) * 1e3).tolist()
         self._request, self._rest_readings, self._motion_readings = request, [], []
@@ -122,7 +129,7 @@ class CalibrationSession:
             if what not in REST_DURATIONS_S:
                 return await self._measure_in_motion(what, value, by)
             found = await self._measure_at_rest(what, value, by)
-            if what is CalibrationKind.STRAIN:
+            if what in (CalibrationKind.STRAIN, CalibrationKind.FORCE):
                 fits.check_steady(found, f"{value:g} N", self._load_newest_tool())
         except CalibrationError as error:
             self._update_state(problem=str(error))
@@ -140,12 +147,16 @@ class CalibrationSession:
             self._tool_service.arming.safety is Safety.ARMED
         ):  # an armed tool would take the weight for a fault of its gage
             await self._tool_service.arming.disarm(by)
-        await self._set_simulated_load(value if what is CalibrationKind.STRAIN else 0.0, None)
+        pull_n = {
+            CalibrationKind.STRAIN: value,
+            CalibrationKind.FORCE: readings.compute_handle_pull(self._plan.tool, value),
+        }.get(what, 0.0)
+        await self._set_simulated_load(pull_n, None)
         try:
             seconds = REST_DURATIONS_S[what]
             self._collected_blocks, wanted = [], round(seconds * self._plan.tool.board.sample_rate_hz)
             async with asyncio.timeout(seconds + SAMPLE_TIMEOUT_S):
-                while sum(len(block.samples) for block in self._collected_blocks) < wanted:
+                while sum(len(block.samples) for block in _drop_late_blocks(self._collected_blocks)) < wanted:
                     self._block_arrived.clear()
                     await self._block_arrived.wait()
         except TimeoutError:
@@ -153,7 +164,7 @@ class CalibrationSession:
         finally:
             taken, self._collected_blocks = self._collected_blocks or [], None
             await self._set_simulated_load(0.0, None)
-        return readings.extract_signals(taken)
+        return readings.extract_signals(_drop_late_blocks(taken))
 
     async def _measure_in_motion(self, what: CalibrationKind, value: float, by: str | None) -> list[LoadingPass]:
         await self._set_simulated_load(0.0, value * 1e-3 if what is CalibrationKind.GEOMETRY else 0.0)
@@ -189,7 +200,7 @@ class CalibrationSession:
         tool = self._load_newest_tool()
         person = request.person or by or getpass.getuser()
         try:
-            fit = await asyncio.to_thread(self._fit, request.what, tool)
+            fit = await asyncio.to_thread(self._fit, request, tool)
         except CalibrationError as error:
             self._update_state(problem=f"{error} Nothing was written.")
             raise
@@ -210,17 +221,24 @@ class CalibrationSession:
     def _folder(self) -> Path:
         return self._plan.data_folder / "tools"
 
-    def _fit(self, what: CalibrationKind, tool: Tool) -> CalibrationFit:
-        match what:
+    def _fit(self, request: CalibrationRequest, tool: Tool) -> CalibrationFit:
+        match request.what:
             case CalibrationKind.TARE:
                 return fits.fit_tare(self._rest_readings[0], tool)
             case CalibrationKind.STRAIN:
                 return fits.fit_strain(self.state.values, self._rest_readings, tool)
+            case CalibrationKind.FORCE:
+                return fits.fit_force_scale(self.state.values, self._rest_readings, tool, request.load_cell_error)
             case CalibrationKind.STRETCH:
                 return fits.fit_stretch(self._motion_readings[0], tool)
             case CalibrationKind.GEOMETRY:
                 passes = [readings.merge_passes(found) for found in self._motion_readings]
                 return fits.fit_geometry([each * 1e-3 for each in self.state.values], passes, tool)
+
+
+def _drop_late_blocks(blocks: list[SampleBlock]) -> list[SampleBlock]:
+    """Return the blocks after the first one that was read in time: those up to it may be of before the reading."""
+    return list(dropwhile(lambda block: block.backlog >= len(block.samples), blocks))[1:]
 
 
 def _summarize_reading(value: float, found: RawSignals | list[LoadingPass]) -> CalibrationReading:

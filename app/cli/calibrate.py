@@ -210,6 +210,55 @@ def strain(
 
 
 @app.command()
+def force(
+    forces: Annotated[
+        str,
+        typer.Option(metavar="N,N,…", help="Forces on a load cell between the jaws in their order, newtons; first 0."),
+    ] = "0,1,2,3,4,5,3,1",
+    load_cell_error: Annotated[
+        float,
+        typer.Option(min=0.0, max=20.0, help="Error of the load cell, percent of its reading. It widens the interval."),
+    ] = 1.0,
+    tool: ToolOption = None,
+    person: PersonOption = None,
+    days: ValidDaysOption = 90,
+    into: OutputFolderOption = None,
+    yes: YesOption = False,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Force scale, the factor of Eq. (2), from a load cell between the jaws; the motor stays at zero.
+
+    Calibrate strain, stretch and geometry before. A real tool is armed only with a measured force scale.
+
+    Example: graspwatch calibrate force --tool nidaq --forces 0,1,2,3,4,5,3,1
+    """
+    from acquisition.bench import fits
+
+    session = _CommandLineCalibration(tool, config, person, days, into, yes, as_json)
+    known_n = fits.check_jaw_forces(_parse_numbers(forces, "--forces"))
+    bench = session.open_bench()
+
+    def measure(force_n: float) -> "fits.RawSignals":
+        reading = bench.read_under_jaw_force(force_n)
+        fits.check_steady(reading, f"{force_n:g} N", session.tool)
+        return reading
+
+    def question(force_n: float) -> str:
+        if not force_n:
+            return "are the jaws open, and does nothing pull on the handle?"
+        return f"is the handle pulled until the load cell between the jaws shows {force_n:g} N, and held there?"
+
+    readings = session.read_each(
+        known_n.tolist(),
+        question,
+        measure,
+        lambda force_n, reading: f"{force_n:>8g} N  {reading.strain_v.mean():9.4f} V",
+    )
+    session.finish(lambda: fits.fit_force_scale(known_n, readings, session.tool, load_cell_error / 100))
+
+
+@app.command()
 def stretch(
     recordings: Annotated[
         list[Path] | None,

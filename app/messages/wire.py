@@ -656,6 +656,7 @@ class CalibrationKind(StrEnum):
 
     TARE = "tare"
     STRAIN = "strain"
+    FORCE = "force"
     STRETCH = "stretch"
     GEOMETRY = "geometry"
 
@@ -666,10 +667,14 @@ class CalibrationRequest(WireModel):
     what: CalibrationKind
     values: Annotated[list[Annotated[float, Field(ge=0, le=1000)]], Field(max_length=50)] = Field(
         default_factory=list,
-        description="Pulls on the handle, N (strain), or gauge blocks between the jaws, mm (geometry)",
+        description="Pulls on the handle, N (strain), forces on a load cell between the jaws, N (force), or gauge "
+        "blocks between the jaws, mm (geometry)",
     )
     person: Annotated[str, Field(max_length=60)] | None = None
     valid_days: Annotated[int, Field(ge=1, le=3650)] = 90
+    load_cell_error: Annotated[float, Field(ge=0, le=0.2)] = Field(
+        default=0.01, description="Error of the load cell as a share of its reading (force). It widens the interval"
+    )
 
 
 class CalibrationReading(WireModel):

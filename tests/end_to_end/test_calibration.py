@@ -62,6 +62,15 @@ def test_one_calibration_builds_on_the_other_and_tissue_is_held_again(service: S
     assert service.http.get(f"/api/runs/{run['id']}/grasps").json()[0]["label"] == "liver"
 
 
+def test_a_measured_force_scale_is_in_the_new_tool_file_with_its_interval_and_expiry(service: Service) -> None:
+    result = calibrate(service, "force", 0, 1, 2, 3, 4)
+    scale = load_tool(result["file"]).calibration.jaw_force_scale
+    assert scale.measured
+    assert scale.low < CALIBRATION.jaw_force_scale.value < scale.high
+    assert (scale.date, scale.expires) == (date.today(), date.today() + timedelta(days=90))
+    assert "a test" in scale.source
+
+
 def test_a_stop_ends_a_reading_that_moves_and_it_may_be_repeated(service: Service) -> None:
     begin(service, "stretch")
     answers = []
@@ -84,6 +93,7 @@ def test_a_stop_ends_a_reading_that_moves_and_it_may_be_repeated(service: Servic
     [
         ({"what": "strain", "values": [0, 2, 4]}, 422, "3 different pulls"),
         ({"what": "geometry", "values": [0, 2]}, 422, "At least 3 gauges"),
+        ({"what": "force", "values": [1, 2, 3, 4, 5]}, 422, "the first one 0"),
         ({"what": "strain", "values": [0, -2, 4, 6]}, 422, "greater than or equal to 0"),
         ({"what": "weight"}, 422, "what"),
     ],

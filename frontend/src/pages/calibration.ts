@@ -14,6 +14,7 @@ const PATH = "/api/calibration";
 const EVERY_MS = 3000;
 const WHILE_READING_MS = 500;
 const DIGITS = 5;
+const PERCENT = 100;
 
 interface Procedure {
   /** The list of values to ask for; none if there is a single reading. */
@@ -31,6 +32,14 @@ const PROCEDURES: Record<CalibrationKind, Procedure> = {
     values: { name: "Pulls on the handle in their order, N", usual: "0, 2, 4, 6, 8, 10, 5, 0", unit: "N" },
     moves: false,
     instruction: (value) => (value ? `Hang a pull of ${value} N on the handle, and let it come to rest.` : "Hang nothing on the handle."),
+  },
+  force: {
+    values: { name: "Forces on a load cell between the jaws in their order, N", usual: "0, 1, 2, 3, 4, 5, 3, 1", unit: "N" },
+    moves: false,
+    instruction: (value) =>
+      value
+        ? `Pull the handle until the load cell between the jaws shows ${value} N, and hold it there.`
+        : "Leave the jaws open, with nothing between them, and let nothing pull on the handle.",
   },
   stretch: { moves: true, instruction: () => "Empty the jaws. They close with half a volt for a quarter of a minute: let nobody be near." },
   geometry: {
@@ -81,6 +90,7 @@ export class CalibrationPage implements Page {
   private describe(): void {
     const { values } = PROCEDURES[this.what.value as CalibrationKind];
     setHidden(find(this.root, "calibrate-values-field"), !values);
+    setHidden(find(this.root, "calibrate-load-cell-field"), this.what.value !== "force");
     if (!values) return;
     setText(find(this.root, "calibrate-values-name"), values.name);
     this.values.value = values.usual;
@@ -95,7 +105,8 @@ export class CalibrationPage implements Page {
     }
     const person = find(this.root, "calibrate-person", HTMLInputElement).value.trim();
     const days = Number(find(this.root, "calibrate-days", HTMLInputElement).value);
-    const request: CalibrationRequest = { what, values: numbers, person: person || null, valid_days: days };
+    const error = Number(find(this.root, "calibrate-load-cell-error", HTMLInputElement).value) / PERCENT;
+    const request: CalibrationRequest = { what, values: numbers, person: person || null, valid_days: days, load_cell_error: error };
     try {
       this.show(await postJson<Calibration>(PATH, request));
       this.showMessage("Begun: do what stands beside, then take the reading.", "done");

@@ -14,6 +14,7 @@ from acquisition.bench.fits import CalibrationFit, FittedConstant, LoadingPass
 from acquisition.bench.readings import CalibrationBench, extract_recorded_passes
 from acquisition.drivers.nidaq import NidaqSource
 from acquisition.recordings.recording import RecordingSource
+from acquisition.signals.calibration import compute_jaw_signals
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper
@@ -54,6 +55,13 @@ class Laboratory:
     def strain(self, pulls_n=PULLS_N) -> CalibrationFit:
         return fits.fit_strain(pulls_n, [self.bench.read_under_pull(pull_n) for pull_n in pulls_n], TOOL)
 
+    def force_scale(self, pulls_n=PULLS_N, load_cell_error: float = 0.01) -> CalibrationFit:
+        """The jaws are held open by a load cell, and pulls on the handle press them on it."""
+        readings = [self.bench.read_under_pull(pull_n) for pull_n in pulls_n]
+        tensions_v = np.array(pulls_n) / self.truth.calibration.newton_per_volt
+        shown = compute_jaw_signals(self.truth, tensions_v, tensions_v * self.truth.calibration.encoder_deg_per_volt)
+        return fits.fit_force_scale(shown.force_n, readings, TOOL, load_cell_error)
+
     def stretch(self) -> CalibrationFit:
         return fits.fit_stretch(self.bench.read_closed_jaws(), TOOL)
 
@@ -76,6 +84,35 @@ def test_the_strain_gain_comes_out_within_one_percent(newton_per_volt: float, se
     [gain] = Laboratory(newton_per_volt=newton_per_volt, seed=seed).strain().constants
     assert within(gain, newton_per_volt)
     assert gain.low < gain.value < gain.high
+
+
+@given(scale=st.floats(0.05, 1.0), seed=st.integers(0, 10**6))
+@FEW
+def test_the_force_scale_comes_out_within_one_percent_and_its_interval_holds_the_truth(scale: float, seed: int) -> None:
+    truth = TOOL.calibration.jaw_force_scale.model_copy(update={"value": scale})
+    [found] = Laboratory(jaw_force_scale=truth, seed=seed).force_scale().constants
+    assert within(found, scale)
+    assert found.low < scale < found.high
+
+
+def test_the_error_of_the_load_cell_widens_the_interval_of_the_force_scale() -> None:
+    [exact], [coarse] = (Laboratory().force_scale(load_cell_error=error).constants for error in (0.0, 0.05))
+    assert coarse.low == pytest.approx(exact.low * 0.95)
+    assert coarse.high == pytest.approx(exact.high * 1.05)
+
+
+def test_a_load_cell_that_was_read_wrong_is_named() -> None:
+    laboratory = Laboratory()
+    readings = [laboratory.bench.read_under_pull(pull_n) for pull_n in PULLS_N]
+    refused(
+        lambda: fits.fit_force_scale((0, 1, 2, 9, 4, 5, 2.5, 0), readings, TOOL, 0.01), "at 9 N is not in proportion"
+    )
+
+
+@pytest.mark.parametrize("forces_n", [(0, 1, 2, 3), (1, 2, 3, 4, 5), (0, 1, 2, -3, 4), (0, 1, 2, float("nan"), 4)])
+def test_forces_that_tell_nothing_are_refused_before_one_is_read(forces_n: tuple[float, ...]) -> None:
+    with pytest.raises(CalibrationError, match=r"Give at least 5 different forces|not negative"):
+        fits.check_jaw_forces(forces_n)
 
 
 @given(stretch=st.floats(35.0, 80.0), seed=st.integers(0, 10**6))

@@ -20,7 +20,13 @@ def calibrate(folder: Path, *words: str, answers: str | None = None) -> subproce
 @pytest.mark.long
 def test_one_calibration_builds_on_the_other_and_the_last_file_holds_all(tmp_path: Path) -> None:
     tool, files = "simulated", []
-    for words in (["tare"], ["strain", "--weights", "0,5,10,15,0"], ["stretch"], ["geometry", "--gauges", "0,3,6"]):
+    for words in (
+        ["tare"],
+        ["strain", "--weights", "0,5,10,15,0"],
+        ["stretch"],
+        ["geometry", "--gauges", "0,3,6"],
+        ["force"],
+    ):
         done = calibrate(tmp_path, *words, "--tool", tool, "--yes", "--json", "--person", "a test")
         assert done.returncode == 0, done.stderr
         told = json.loads(done.stdout)
@@ -30,9 +36,11 @@ def test_one_calibration_builds_on_the_other_and_the_last_file_holds_all(tmp_pat
         tool = told["file"]
         files.append(tmp_path / tool)
         assert (tmp_path / told["plot"]).read_text().count("Plotly.newPlot(") == 1
-    assert len({*files}) == 4
+    assert len({*files}) == 5
     assert all(path.exists() for path in files)
-    measured = tomllib.loads(files[-1].read_text())["calibration"]["measured"]
+    calibration = tomllib.loads(files[-1].read_text())["calibration"]
+    assert calibration["jaw_force_scale"]["measured"]
+    measured = calibration["measured"]
     assert {each["constant"] for each in measured} == {
         "rest_offset_v",
         "strain_sd_v",
@@ -56,6 +64,7 @@ def test_nothing_moves_and_nothing_is_written_unless_somebody_agrees(tmp_path: P
         (["strain", "--weights", "0,two,4", "--yes"], 2, "numbers with commas between"),
         (["strain", "--weights", "0,2,4", "--yes"], 8, "3 different pulls tell no line from a curve"),
         (["geometry", "--gauges", "0,0,2", "--yes"], 8, "At least 3 gauges"),
+        (["force", "--forces", "1,2,3,4,5", "--yes"], 8, "the first one 0"),
         (["stretch", "missing.lvm", "--yes"], 3, "missing.lvm"),
         (["tare", "--tool", "smart_tool_2013", "--yes"], 2, "is for recordings"),
         (["tare", "--yes", "--into", "/proc/no"], 2, "name another folder (--into)"),
