@@ -9,7 +9,8 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
-from app.messages.wire import SCHEMA_VERSION, FrameReceived, Hello, ServerMessage
+from app.messages.base import SCHEMA_VERSION
+from app.messages.live import FrameReceived, Hello, ServerMessage
 from config.network import is_this_computer
 from graspwatch.errors import ConnectionLostError
 from graspwatch.frames import Frame

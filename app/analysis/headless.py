@@ -12,7 +12,7 @@ from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety_state_machine import Safety
 from acquisition.signals.pipeline import ConditioningPipeline
 from acquisition.tool_factory import open_tool
-from app.messages.wire import RunState
+from app.messages.runs import RunState
 from app.recordings.estimate_comparison import EstimateComparator, EstimateComparison
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
 from app.recordings.mcap_writer import RecordingContext

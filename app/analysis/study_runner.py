@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Self
 
 from app.host.background_process import SendMessage, run_in_background_process
-from app.messages.wire import StudyRun, StudyState
+from app.messages.studies import StudyRun, StudyState
 from config.errors import RefusedError, ServiceError
 from estimator.studies.catalog import STUDIES, StudyDefinition
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from app.analysis.report.report_cache import ReportCache
 from app.host.bin_folder import BinFolder, BinnedFile, find_expired, format_iso
 from app.index.queries import FileQuery
-from app.messages.wire import BinContent, BinnedRecording, Emptied, FileRecord, JournalKind
+from app.messages.journal import JournalKind
+from app.messages.recordings import BinContent, BinnedRecording, Emptied, FileRecord
 from app.recordings.replay.cache_store import ReplayCacheStore
 from app.service.tool_service import ToolService
 from config.errors import GraspwatchError, ServiceError

@@ -11,7 +11,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from app.audit.journal_file import find_journals, read_journal_lines
-from app.messages.wire import JournalEntry
+from app.messages.journal import JournalEntry
 
 CSV_COLUMNS = (
     "number",

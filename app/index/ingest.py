@@ -1,4 +1,4 @@
-"""Ingestion of wire messages into the tables. Ingesting a message twice changes nothing.
+"""Ingestion of records into the tables. Ingesting a record twice changes nothing.
 
 Runs, grasps, alarms and journal lines may come in any order: the newest message of each wins. Of a recording's file the
 last message wins, because it describes the present state.
@@ -12,7 +12,12 @@ from typing import Any, TypeVar
 from sqlalchemy.orm import Session
 
 from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, IndexTable, RunRow
-from app.messages.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Run, RunState, WireModel
+from app.messages.alarms import Alarm
+from app.messages.base import Record
+from app.messages.grasps import GraspEnded
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileRecord
+from app.messages.runs import Run, RunState
 
 Row = TypeVar("Row", bound=IndexTable)
 IndexedMessage = Run | GraspEnded | Alarm | JournalEntry | FileRecord
@@ -51,11 +56,11 @@ def line_key(entry: JournalEntry) -> str:
     return hashlib.sha256(entry.without_chain().to_line().encode()).hexdigest()
 
 
-def _to_json_text(message: WireModel) -> str:
+def _to_json_text(message: Record) -> str:
     return message.model_dump_json()
 
 
-def _to_json_dict(message: WireModel) -> dict[str, Any]:
+def _to_json_dict(message: Record) -> dict[str, Any]:
     return json.loads(message.model_dump_json())
 
 

@@ -22,7 +22,8 @@ from app.index.index_lock import IndexLock
 from app.index.ingest import IndexedMessage, ingest
 from app.index.store import Store
 from app.index.tables import IndexTable
-from app.messages.wire import FileRecord, JournalEntry
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileRecord
 from config.errors import GraspwatchError, ServiceError
 
 BEHIND_MARKER_FILE = "index.behind"  # in the data folder: messages were left out of the index
@@ -33,7 +34,7 @@ SQLITE_SUFFIXES = ("", "-wal", "-shm")
 class RecordingReader:
     """Reader of recordings whose names end with `suffix`.
 
-    `read_messages` yields a file's wire messages in order, each with its run's id; at damage it raises RecordingError,
+    `read_messages` yields a file's records in order, each with its run's id; at damage it raises RecordingError,
     and the messages before count. `read_file_record` returns the record of the file; the recorder gives the live index
     the same.
     """

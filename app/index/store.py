@@ -1,4 +1,4 @@
-"""The index's store: ingests and returns wire messages. It blocks; `index_writer.py` is for the event loop."""
+"""The index's store: ingests and returns records. It blocks; `index_writer.py` is for the event loop."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,11 @@ from app.index.index_lock import IndexLock
 from app.index.ingest import IndexedMessage, ingest, line_key
 from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery, RunQuery
 from app.index.tables import AuditRow, FileRow, GraspRow, IndexTable, RunRow
-from app.messages.wire import Alarm, FileRecord, Grasp, GraspEnded, JournalEntry, Run, RunState
+from app.messages.alarms import Alarm
+from app.messages.grasps import Grasp, GraspEnded
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileRecord
+from app.messages.runs import Run, RunState
 
 MAX_TRIES = 5  # while another writer is faster
 M = TypeVar("M")
@@ -69,7 +73,7 @@ class Store:
             yield session
 
     def ingest(self, message: IndexedMessage, run_id: str | None = None) -> None:
-        """Put a wire message into the index; a second time changes nothing. `run_id`: of a grasp without one.
+        """Put a record into the index; a second time changes nothing. `run_id`: of a grasp without one.
 
         Raises:
             DBAPIError: it could not be written.

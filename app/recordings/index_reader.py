@@ -7,7 +7,11 @@ from pathlib import Path
 from acquisition.recordings.mcap_layout import RAW_TOPIC
 from acquisition.recordings.mcap_reader import JsonMessage, McapFile
 from app.index.rebuild import RecordingReader
-from app.messages.wire import Alarm, FileCondition, FileRecord, GraspEnded, JournalEntry, Run
+from app.messages.alarms import Alarm
+from app.messages.grasps import GraspEnded
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileCondition, FileRecord
+from app.messages.runs import Run
 from app.recordings.mcap_writer import RECORDING_SUFFIX
 from app.recordings.topics import ALARM_TOPIC, GRASP_TOPIC, JOURNAL_TOPIC, RUN_TOPIC, decode_message
 from config.errors import RecordingError

@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.recordings import mcap_layout
 from acquisition.sample_block import SampleBlock
 from app.host.disk import free_bytes
-from app.messages.wire import Run, RunState
+from app.messages.runs import Run, RunState
 from app.recordings.mcap_writer import FLUSH_PERIOD_S, RECORDING_SUFFIX, McapRunWriter, RecordingContext
 from app.recordings.topics import RUN_TOPIC, decode_message, encode_message
 from config.schema import GraspProtocol

@@ -12,7 +12,7 @@ import zmq
 
 from acquisition import bus
 from acquisition.worker_process import ProcessEndFlag, initialize_worker, limit_memory, take_server_priority
-from app.messages.wire import RunState
+from app.messages.runs import RunState
 from app.recordings.file_repair import recover_folder
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.recorder import PublishedEstimates, Recorder, RecordingStoppedError, RunMetadata

@@ -1,4 +1,4 @@
-"""JSON topics of a recording: messages of `app/messages/wire.py`, with schemas that plotting programs understand.
+"""JSON topics of a recording: records of `app/messages/`, with schemas that plotting programs understand.
 
 Those programs read JSON schemas without references and with one type a field. So a field without a value is left out of
 a message instead of being null.
@@ -9,7 +9,10 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from app.messages.wire import Alarm, GraspEnded, Identification, JournalEntry, Run
+from app.messages.alarms import Alarm
+from app.messages.grasps import GraspEnded, Identification
+from app.messages.journal import JournalEntry
+from app.messages.runs import Run
 
 RUN_TOPIC, GRASP_TOPIC, ALARM_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC = (
     "/run",

@@ -10,13 +10,15 @@ from pydantic import BaseModel
 
 from acquisition import bus
 from app.index.index_writer import IndexWriter
-from app.messages.wire import RECORDER_OFF, FileRecord, Priority
+from app.messages.live import RECORDER_OFF
+from app.messages.recordings import FileRecord
 from app.recordings.index_reader import read_file_record
 from app.recordings.recorder import RunMetadata
 from app.recordings.recorder_worker import pack_run_metadata
 from app.recordings.topics import encode_message, find_topic
 from app.stream.alarms import AlarmManager
 from config.service_plan import ServicePlan
+from estimator.force_alarms import Priority
 
 
 class RecorderLink:

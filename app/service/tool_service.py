@@ -25,19 +25,11 @@ from app.index.index_writer import IndexWriter
 from app.index.ingest import IndexedMessage
 from app.index.rebuild import BEHIND_MARKER_FILE
 from app.index.store import Store
-from app.messages.wire import (
-    AlarmKind,
-    EventMessage,
-    Grasp,
-    GraspEnded,
-    Identification,
-    JournalKind,
-    Phase,
-    Priority,
-    Run,
-    RunState,
-    State,
-)
+from app.messages.alarms import AlarmKind
+from app.messages.grasps import Grasp, GraspEnded, Identification
+from app.messages.journal import JournalKind
+from app.messages.live import EventMessage, Phase, State
+from app.messages.runs import Run, RunState
 from app.recordings.recorder import DEMO_ID_PREFIX, RunMetadata
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
@@ -59,6 +51,7 @@ from config.schema import GraspProtocol, ToolKind
 from config.service_plan import ServicePlan
 from estimator.decision import UNDECIDED, UNKNOWN
 from estimator.estimate_block import finite_or_none
+from estimator.force_alarms import Priority
 from estimator.worker import unpack_estimates
 
 MAX_INITIAL_GRASPS = 200  # finished grasps of the last run that a new viewer receives

@@ -6,10 +6,12 @@ from dataclasses import asdict
 from pydantic import BaseModel
 
 from acquisition.bus import shallow_asdict
-from app.messages.wire import EventMessage, Grasp, Identification, Priority
+from app.messages.grasps import Grasp, Identification
+from app.messages.live import EventMessage
 from app.stream.alarms import PRIORITY_RANK, AlarmManager
 from config.schema import TissueLibrary
 from estimator.estimate_block import EstimateBlock, GraspRecord
+from estimator.force_alarms import Priority
 
 IDENTIFICATION_RATE_HZ = 10.0
 

@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from app.messages.wire import Alarm, AlarmKind
+from app.messages.alarms import Alarm, AlarmKind
 from config.schema import Tool
 
 COLUMNS_FILE, MESSAGES_FILE, INDEX_FILE, TOOL_FILE = "columns.npy", "told", "index.npz", "tool.json"

@@ -1,7 +1,8 @@
 from pathlib import Path
 
-from app.messages import json_schema
 from app.messages.wire import FRAME_HEADER
+
+from app.messages import json_schema
 
 COMMITTED = Path(json_schema.__file__).parents[2] / "frontend" / "src" / "wire.schema.json"
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
-from app.messages.wire import Run, RunState
+from app.messages.runs import Run, RunState
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.recorder import PublishedEstimates, Recorder, RunMetadata
 from app.recordings.run_reader import read_run

@@ -15,7 +15,7 @@ from simulation import cut, joined, lvm_text, simulate_raw
 from acquisition.recordings.labview import read_lvm
 from acquisition.recordings.recording import RecordingSource
 from app.analysis.headless import replay_recording
-from app.messages.wire import ReplayControl
+from app.messages.live import ReplayControl
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.replay import cache_builder
 from app.recordings.replay.cache_builder import build_replay_cache
