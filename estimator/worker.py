@@ -9,6 +9,7 @@ import numpy as np
 import zmq
 
 from acquisition import bus
+from acquisition.notices import CompilingFilters, Estimating
 from acquisition.worker_process import apply_realtime, initialize_worker
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_block import EstimateBlock, GraspRecord, IdentificationResult, LabelWithdrawal, estimate_dtype
@@ -39,7 +40,7 @@ def main(setup: EstimatorSetup) -> None:
     samples = bus.open_subscriber(context, setup.endpoints.samples)
     publisher = bus.open_publisher(context, setup.endpoints.estimates)
     limits = bus.open_publisher(context, setup.endpoints.thresholds)
-    publisher.send_multipart(bus.pack_notice("compiling"))
+    publisher.send_multipart(bus.pack_notice(CompilingFilters()))
     compile_filters(setup)
     granted = apply_realtime(setup.settings.realtime, REALTIME_PRIORITY, core_index=1)
     session = _create_estimator(setup)
@@ -49,7 +50,7 @@ def main(setup: EstimatorSetup) -> None:
         while not stop.is_set:
             if time.monotonic() - last_ready > 1.0:  # repeated, because a subscriber may connect late
                 granted.priority.renew()
-                publisher.send_multipart(bus.pack_notice("estimating", realtime=str(granted)))
+                publisher.send_multipart(bus.pack_notice(Estimating(str(granted))))
                 last_ready = time.monotonic()
             if not samples.poll(POLL_INTERVAL_MS):
                 continue

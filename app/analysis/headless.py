@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from acquisition.acquisition_loop import AcquisitionController, EndedRun, RunOutcome, describe_release
+from acquisition.acquisition_loop import AcquisitionController, describe_release
+from acquisition.notices import RunEnded, RunOutcome
 from acquisition.recordings.recording import RecordingSource
 from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety_state_machine import Safety
@@ -90,7 +91,7 @@ def run_protocol(
         limiter = ForceLimiter(tool, library, settings.limiter)
         acquisition = AcquisitionController(source, tool, settings.conditioning, limiter, Safety.ARMED)
         acquisition.start(run_id, protocol, cycles)
-        ended: list[EndedRun] = []
+        ended: list[RunEnded] = []
         while not ended:
             block = acquisition.process_block()
             assert block is not None, "a tool's samples have no end"

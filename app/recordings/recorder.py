@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.notices import RunMetadata
 from acquisition.recordings import mcap_layout
 from acquisition.sample_block import SampleBlock
 from app.host.disk import free_bytes
@@ -24,17 +25,6 @@ DEMO_ID_PREFIX = "demo-"  # first part of the id of a demonstration's run
 
 class RecordingStoppedError(Exception):
     """A recording ended before its run; the text says why, and what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunMetadata:
-    """Description of a run before it begins. `protocol` is its JSON."""
-
-    run_id: str
-    protocol: str
-    cycles: int
-    tissue: str | None
-    by: str | None
 
 
 @dataclass(frozen=True, slots=True)

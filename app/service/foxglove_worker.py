@@ -13,6 +13,7 @@ import numpy as np
 import zmq
 
 from acquisition import bus
+from acquisition.notices import FoxgloveServing
 from acquisition.recordings import mcap_layout
 from acquisition.recordings.protobuf_rows import RowLayout
 from acquisition.sample_block import SampleBlock
@@ -65,7 +66,7 @@ def _run(
             foxglove_publisher.process(sources.recv_multipart())
         if time.monotonic() - said_s > STATUS_PERIOD_S:
             said_s = time.monotonic()
-            publisher.send_multipart(bus.pack_notice("streaming"))
+            publisher.send_multipart(bus.pack_notice(FoxgloveServing()))
 
 
 class FoxglovePublisher:

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from acquisition.notices import RunMetadata
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
 from app.messages.runs import Run, RunState
 from app.recordings.mcap_writer import RecordingContext
-from app.recordings.recorder import PublishedEstimates, Recorder, RunMetadata
+from app.recordings.recorder import PublishedEstimates, Recorder
 from app.recordings.run_reader import read_run
 from app.recordings.topics import RUN_TOPIC as RUN_TOPIC
 from app.recordings.topics import encode_message
