@@ -49,11 +49,6 @@ class Endpoints:
         return cls(*(f"ipc://{folder}/{each.name}-{tag}" for each in fields(cls)))
 
 
-def shallow_asdict(record: Any) -> dict[str, Any]:
-    """Return a dataclass's fields by name without copying values, in a tenth of the time of `asdict`."""
-    return {name: getattr(record, name) for name in record.__dataclass_fields__}
-
-
 def open_publisher(context: zmq.Context[SocketT], address: str) -> SocketT:
     socket = context.socket(zmq.PUB)
     socket.setsockopt(zmq.SNDHWM, HIGH_WATER_MARK)
@@ -167,7 +162,7 @@ class ThresholdUpdate:
 
 
 def pack_threshold(limit: ThresholdUpdate) -> bytes:
-    return json.dumps(shallow_asdict(limit)).encode()
+    return json.dumps(asdict(limit)).encode()
 
 
 def unpack_threshold(message: bytes) -> ThresholdUpdate:

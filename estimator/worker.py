@@ -1,9 +1,8 @@
 """The estimator worker: the process that turns sample blocks into estimate blocks."""
 
-import json
 import time
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import zmq
@@ -12,8 +11,8 @@ from acquisition import bus
 from acquisition.notices import CompilingFilters, Estimating
 from acquisition.worker_process import apply_realtime, initialize_worker
 from config.schema import Settings, TissueLibrary, Tool
-from estimator.estimate_block import EstimateBlock, GraspRecord, IdentificationResult, LabelWithdrawal, estimate_dtype
-from estimator.force_alarms import ForceAlarm
+from estimator.estimate_block import IdentificationResult
+from estimator.estimate_messages import pack_estimates
 
 if TYPE_CHECKING:
     from estimator.online_estimator import TissueEstimator
@@ -91,42 +90,3 @@ def _create_estimator(setup: EstimatorSetup) -> "TissueEstimator":
 def to_threshold_update(found: IdentificationResult) -> bus.ThresholdUpdate:
     """Return the threshold message for the acquisition's limiter."""
     return bus.ThresholdUpdate(found.threshold_n, found.threshold_tissue, found.tick)
-
-
-def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:
-    header = {
-        "sequence": block.sequence,
-        "t_mono_ns": block.t_mono_ns,
-        "published_ns": time.monotonic_ns(),
-        "lost_samples": block.lost_samples,
-        "missing_blocks": missing_blocks,
-        "identification": bus.shallow_asdict(block.identification),
-        "ended": [asdict(grasp) for grasp in block.ended],
-        "alarms": [asdict(alarm) for alarm in block.alarms],
-        "withdrawn": [asdict(withdrawal) for withdrawal in block.withdrawn],
-    }
-    return [bus.ESTIMATES_TOPIC, json.dumps(header).encode(), block.estimates.tobytes()]
-
-
-@dataclass(frozen=True, slots=True)
-class ReceivedEstimates:
-    """An estimate block as received, with its time of publication and the number of blocks the estimator missed."""
-
-    block: EstimateBlock
-    published_ns: int
-    missing_blocks: int
-
-
-def unpack_estimates(parts: list[bytes], tissues: int) -> ReceivedEstimates:
-    header: dict[str, Any] = json.loads(parts[1])
-    block = EstimateBlock(
-        header["sequence"],
-        header["t_mono_ns"],
-        header["lost_samples"],
-        np.frombuffer(parts[2], estimate_dtype(tissues)),
-        IdentificationResult(**header["identification"]),
-        tuple(GraspRecord(**grasp) for grasp in header["ended"]),
-        tuple(ForceAlarm(**alarm) for alarm in header["alarms"]),
-        tuple(LabelWithdrawal(**withdrawal) for withdrawal in header["withdrawn"]),
-    )
-    return ReceivedEstimates(block, header["published_ns"], header["missing_blocks"])

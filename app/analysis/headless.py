@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,7 @@ class RunSummary:
             "duration_s": (self.samples + self.lost_samples) / self.rate_hz,
             "library": self.library,
             "force_scale": self.force_scale,
-            "grasps": [asdict(grasp) for grasp in self.grasps],
+            "grasps": [grasp.model_dump() for grasp in self.grasps],
         }
         if self.releases:
             document["let_go"] = self.releases

@@ -3,11 +3,8 @@
 import contextlib
 import time
 from collections import deque
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-
-import numpy as np
 
 from acquisition.notices import RunMetadata
 from acquisition.recordings import mcap_layout
@@ -17,6 +14,7 @@ from app.messages.runs import Run, RunState
 from app.recordings.mcap_writer import FLUSH_PERIOD_S, RECORDING_SUFFIX, McapRunWriter, RecordingContext
 from app.recordings.topics import RUN_TOPIC, decode_message, encode_message
 from config.schema import GraspProtocol
+from estimator.estimate_messages import PublishedEstimates
 
 RUN_END_TIMEOUT_S = 10.0  # time limit for a hanging server to report a run's end
 LATE_DATA_GRACE_S = 0.2  # estimates come after their samples, and messages of a run after its last sample
@@ -25,13 +23,6 @@ DEMO_ID_PREFIX = "demo-"  # first part of the id of a demonstration's run
 
 class RecordingStoppedError(Exception):
     """A recording ended before its run; the text says why, and what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedEstimates:
-    sequence: int
-    published_ns: int
-    estimates: np.ndarray
 
 
 class Recorder:

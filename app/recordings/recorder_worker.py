@@ -1,13 +1,11 @@
 """The recorder worker: the process that writes the bus's samples, estimates and messages, run by run."""
 
 import gc
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import zmq
 
 from acquisition import bus
@@ -24,8 +22,8 @@ from acquisition.worker_process import ProcessEndFlag, initialize_worker, limit_
 from app.messages.runs import RunState
 from app.recordings.file_repair import recover_folder
 from app.recordings.mcap_writer import RecordingContext
-from app.recordings.recorder import PublishedEstimates, Recorder, RecordingStoppedError
-from estimator.estimate_block import estimate_dtype
+from app.recordings.recorder import Recorder, RecordingStoppedError
+from estimator.estimate_messages import unpack_estimate_rows
 
 POLL_MS = 100
 STATUS_PERIOD_S = 0.1
@@ -61,7 +59,7 @@ class _RecorderWorker:
         self._setup, self._publisher = setup, publisher
         self._priority = take_server_priority(setup.realtime_priority)
         self._recorder = Recorder(setup.folder, setup.recording_context)
-        self._estimate_dtype = estimate_dtype(len(setup.recording_context.library.tissues))
+        self._tissues = len(setup.recording_context.library.tissues)
         self._sample_sequence = bus.SequenceTracker()
         self._last_status_s = 0.0
 
@@ -98,9 +96,7 @@ class _RecorderWorker:
                 self._sample_sequence.update(block.sequence, block.t_mono_ns)
                 self._recorder.add_samples(block)
             case bus.ESTIMATES_TOPIC:
-                header = json.loads(parts[1])
-                estimates = np.frombuffer(parts[2], self._estimate_dtype)
-                self._recorder.add_estimates(PublishedEstimates(header["sequence"], header["published_ns"], estimates))
+                self._recorder.add_estimates(unpack_estimate_rows(parts, self._tissues))
             case bus.SERVER_MESSAGE_TOPIC:
                 self._recorder.add_message(*bus.unpack_server_message(parts))
             case bus.NOTICE_TOPIC:

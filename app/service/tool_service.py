@@ -66,8 +66,8 @@ from config.schema import GraspProtocol, ToolKind
 from config.service_plan import ServicePlan
 from estimator.decision import UNDECIDED, UNKNOWN
 from estimator.estimate_block import finite_or_none
+from estimator.estimate_messages import unpack_estimates
 from estimator.force_alarms import Priority
-from estimator.worker import unpack_estimates
 
 MAX_INITIAL_GRASPS = 200  # finished grasps of the last run that a new viewer receives
 MAX_MESSAGES_PER_TURN = 50  # of one bus socket, before other tasks of the event loop run

@@ -50,7 +50,7 @@ class AlarmManager:
         if change.priority is None:
             self.end_force_alarm(at_ms)
             return
-        priority = Priority(change.priority)
+        priority = change.priority
         if priority is not Priority.HIGH:
             self._latch_peak_force()
         whose = change.threshold_tissue.replace("_", " ") if change.threshold_tissue else "lowest of the library"

@@ -23,7 +23,7 @@ from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
 from estimator import worker as estimator_worker
-from estimator.worker import ReceivedEstimates, unpack_estimates
+from estimator.estimate_messages import ReceivedEstimates, unpack_estimates
 
 TISSUE = "gallbladder"
 HALF_A_MINUTE = 6_000  # blocks

@@ -1,8 +1,7 @@
 from pathlib import Path
 
-from app.messages.wire import FRAME_HEADER
-
 from app.messages import json_schema
+from app.messages.live import FRAME_HEADER
 
 COMMITTED = Path(json_schema.__file__).parents[2] / "frontend" / "src" / "wire.schema.json"
 
