@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import ValidationError
 from sqlalchemy import URL, delete
 from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session
@@ -24,6 +23,7 @@ from app.index.store import Store
 from app.index.tables import IndexTable
 from app.messages.journal import JournalEntry
 from app.messages.recordings import FileRecord
+from app.messages.stored import read_stored
 from config.errors import GraspwatchError, ServiceError
 
 BEHIND_MARKER_FILE = "index.behind"  # in the data folder: messages were left out of the index
@@ -184,8 +184,8 @@ def parse_journal_lines(lines: Iterable[bytes]) -> Iterator[JournalEntry | None]
     for line in lines:
         if line.strip():
             try:
-                yield JournalEntry.model_validate_json(line)
-            except ValidationError:
+                yield read_stored(JournalEntry, line)
+            except ValueError:
                 yield None
 
 

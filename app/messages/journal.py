@@ -1,5 +1,6 @@
 """The lines of the journal, and the result of its check."""
 
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import Self
 
@@ -67,9 +68,13 @@ class JournalEntry(Record):
     torn: str | None = Field(default=None, description="Hash of the cut-off line before this one, if there is one")
     hash: str | None = Field(default=None, description="SHA-256 of the line up to here, hexadecimal")
 
-    def to_line(self) -> str:
-        """Return the entry as a journal line. Null fields are omitted, except within run, alarm and file."""
-        return self.model_dump_json(exclude={name for name in type(self).model_fields if getattr(self, name) is None})
+    def to_line(self, exclude: Mapping[str, set[str]] | None = None) -> str:
+        """Return the entry as a journal line. Null fields are omitted, except within run, alarm and file.
+
+        `exclude` names fields of run, alarm or file to leave out.
+        """
+        empty = {name: True for name in type(self).model_fields if getattr(self, name) is None}
+        return self.model_dump_json(exclude={**(exclude or {}), **empty})
 
     def without_chain(self) -> Self:
         """Return a copy without the fields of the chain."""

@@ -37,10 +37,10 @@ def read_recorded_messages(path: Path) -> Iterator[tuple[str | None, RecordedMes
             yield run_id, message
 
 
-def read_file_record(path: Path) -> FileRecord:
-    """Return the record of the file; one that cannot be read gets a record with its problem."""
-    stat = path.stat()
-    known = FileRecord(
+def describe_file(path: Path) -> FileRecord:
+    """Return the record of a file whose content is not read, from its name, size and time."""
+    stat = path.lstat()
+    return FileRecord(
         name=path.name,
         run_id=None,
         size_bytes=stat.st_size,
@@ -52,6 +52,11 @@ def read_file_record(path: Path) -> FileRecord:
         condition=None,
         problem=None,
     )
+
+
+def read_file_record(path: Path) -> FileRecord:
+    """Return the record of the file; one that cannot be read gets a record with its problem."""
+    known = describe_file(path)
     try:
         container = McapFile(path)
     except RecordingError as error:

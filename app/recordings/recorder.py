@@ -11,8 +11,9 @@ from acquisition.recordings import mcap_layout
 from acquisition.sample_block import SampleBlock
 from app.host.disk import free_bytes
 from app.messages.runs import Run, RunState
+from app.messages.stored import read_stored
 from app.recordings.mcap_writer import FLUSH_PERIOD_S, RECORDING_SUFFIX, McapRunWriter, RecordingContext
-from app.recordings.topics import RUN_TOPIC, decode_message, encode_message
+from app.recordings.topics import RUN_TOPIC, encode_message
 from config.schema import GraspProtocol
 from estimator.estimate_messages import PublishedEstimates
 
@@ -102,7 +103,7 @@ class Recorder:
         """Add a message of a topic of `app/recordings/topics.py`."""
         at_ns = time.monotonic_ns() + self._wall_offset_ns
         if topic == RUN_TOPIC:
-            self._last_run_message = Run.model_validate(decode_message(topic, content))
+            self._last_run_message = read_stored(Run, content)
         if self.file:
             self.file.add_message(topic, content, at_ns)
         if self._announced_run and self._announced_run.run_id != self._current_run_id:
