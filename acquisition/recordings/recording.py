@@ -162,7 +162,7 @@ def read_recorded_tool(container: McapFile) -> Tool:
         RecordingError: the file holds no tool, or one that this version cannot read.
     """
     try:
-        return Tool.model_validate_json(container.attachments[TOOL_ATTACHMENT])
+        return Tool.model_validate_json(container.attachments[TOOL_ATTACHMENT], extra="ignore")
     except (KeyError, ValidationError) as error:
         why = str(error).splitlines()[0]
         raise RecordingError(f"{container.path}: the tool it was recorded with cannot be read ({why}).") from None

@@ -12,7 +12,7 @@ from app.audit.chain_check import ChainCheckpoint, check_journal
 from app.audit.journal_export import JournalFilter, JournalFormat
 from app.audit.journal_export import export_lines as lines
 from app.cli.options import ConfigOption, DataOption, JsonOption, ProgressBar, prepare_data_folder
-from app.messages.wire import JournalCheck, JournalEntry
+from app.messages.journal import JournalCheck, JournalEntry
 from config.errors import ConfigurationError, GraspwatchError, JournalError
 from config.load import load_settings
 from config.schema import Settings

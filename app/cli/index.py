@@ -16,7 +16,7 @@ from app.index.database_errors import REBUILD_COMMAND
 from app.index.rebuild import rebuild
 from app.index.status import IndexStatus, read_status
 from app.index.store import Store
-from app.messages.wire import JournalEntry
+from app.messages.journal import JournalEntry
 from app.recordings.index_reader import RECORDING_READERS
 from config.errors import GraspwatchError
 

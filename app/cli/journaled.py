@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.audit.journal import Journal
 from app.cli.options import error_console
-from app.messages.wire import JournalEntry, Result
+from app.messages.journal import JournalEntry, Result
 from config.errors import GraspwatchError
 
 

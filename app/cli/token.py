@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from app.cli.options import ConfigOption, DataOption, JsonOption, error_console, prepare_data_folder
-from app.messages.wire import Role
+from app.messages.people import Role
 from app.people import tokens
 from config.load import load_settings
 

@@ -10,7 +10,7 @@ from acquisition.recordings.mcap_layout import RAW_TOPIC
 from acquisition.recordings.mcap_reader import McapFile
 from acquisition.recordings.recording import RecordingSource, read_recorded_tool
 from app.host.background_process import SendMessage, run_in_background_process
-from app.messages.wire import RecordingInfo, Recordings
+from app.messages.recordings import RecordingInfo, Recordings
 from config.errors import GraspwatchError, RecordingError, RefusedError
 from config.schema import Tool
 from config.service_plan import ServicePlan

@@ -13,7 +13,9 @@ from pydantic import BaseModel
 
 from acquisition.recordings import mcap_layout
 from acquisition.sample_block import SampleBlock
-from app.messages.wire import AlarmKind, Grasp, GraspEnded, Run, RunState
+from app.messages.alarms import AlarmKind
+from app.messages.grasps import Grasp, GraspEnded
+from app.messages.runs import Run, RunState
 from app.recordings.mcap_writer import RECORDING_SUFFIX, McapRunWriter, RecordingContext
 from app.recordings.topics import RUN_TOPIC, encode_message, find_topic
 from app.stream.alarms import AlarmManager

@@ -55,8 +55,10 @@ class RecordingContext:
         try:
             return cls(
                 read_recorded_tool(container),
-                TissueLibrary.model_validate_json(container.attachments[mcap_layout.LIBRARY_ATTACHMENT]),
-                Settings.model_validate_json(container.attachments[mcap_layout.SETTINGS_ATTACHMENT]),
+                TissueLibrary.model_validate_json(
+                    container.attachments[mcap_layout.LIBRARY_ATTACHMENT], extra="ignore"
+                ),
+                Settings.model_validate_json(container.attachments[mcap_layout.SETTINGS_ATTACHMENT], extra="ignore"),
             )
         except (KeyError, ValidationError) as error:
             why = str(error).splitlines()[0]

@@ -3,20 +3,27 @@
 import asyncio
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import zmq
 from pydantic import BaseModel
 
 from acquisition import bus
+from acquisition.notices import (
+    Notice,
+    RecorderStatus,
+    RecordingFinished,
+    RecordingRecovered,
+    RecordingStopped,
+    RunMetadata,
+)
 from app.index.index_writer import IndexWriter
-from app.messages.wire import RECORDER_OFF, FileRecord, Priority
+from app.messages.live import RECORDER_OFF, RecordingState
+from app.messages.recordings import FileRecord
 from app.recordings.index_reader import read_file_record
-from app.recordings.recorder import RunMetadata
-from app.recordings.recorder_worker import pack_run_metadata
 from app.recordings.topics import encode_message, find_topic
 from app.stream.alarms import AlarmManager
 from config.service_plan import ServicePlan
+from estimator.force_alarms import Priority
 
 
 class RecorderLink:
@@ -44,7 +51,7 @@ class RecorderLink:
 
     def announce_run(self, run_metadata: RunMetadata) -> None:
         """Announce a run to the recorder; call this before the acquisition starts the run."""
-        self._send(pack_run_metadata(run_metadata))
+        self._send(bus.pack_notice(run_metadata))
 
     def send_message(self, message: BaseModel) -> None:
         """Send a message to viewers or a journal line to the recorder, if recordings hold its kind."""
@@ -55,19 +62,19 @@ class RecorderLink:
     def _send(self, parts: list[bytes]) -> None:
         self._socket.send_multipart(parts)  # never blocks: a PUB socket drops messages for a reader that hangs
 
-    def on_notice(self, notice: dict[str, Any]) -> None:
-        match notice["kind"]:
-            case "recording":
-                self._update_state({name: notice[name] for name in ("file", "samples", "missing_blocks")})
-            case "recorded":
-                self._index_file(self._recordings_folder / notice["file"])
-            case "mended":
-                self._publish_event(f"The recording {notice['file']} had been cut off, and was made whole")
-                self._index_file(self._recordings_folder / notice["file"])
-            case "recording_stopped":
-                self._mark_stopped(notice["text"])
-                self._alarms.raise_technical("recording", Priority.MEDIUM, notice["text"])
-                self._publish_event(notice["text"])
+    def on_notice(self, notice: Notice) -> None:
+        match notice:
+            case RecorderStatus():
+                self._update_state(notice)
+            case RecordingFinished():
+                self._index_file(self._recordings_folder / notice.file)
+            case RecordingRecovered():
+                self._publish_event(f"The recording {notice.file} had been cut off, and was made whole")
+                self._index_file(self._recordings_folder / notice.file)
+            case RecordingStopped():
+                self._mark_stopped(notice.text)
+                self._alarms.raise_technical("recording", Priority.MEDIUM, notice.text)
+                self._publish_event(notice.text)
 
     def on_worker_death(self, text: str) -> None:
         """Raise an alarm after the recorder died; `text` is the supervisor's account of the death."""
@@ -75,12 +82,17 @@ class RecorderLink:
         self._alarms.raise_technical("recorder", Priority.MEDIUM, f"{text} Meanwhile nothing is recorded.")
         self._publish_event(text)
 
-    def _update_state(self, known: dict[str, Any]) -> None:
-        begins = known["file"] is not None and self.state.file is None
+    def _update_state(self, status: RecorderStatus) -> None:
+        begins = status.file is not None and self.state.file is None
         if begins:
             self._alarms.end("recording")
-        problem = None if begins else self.state.problem
-        self.state = self.state.model_copy(update=known | {"problem": problem})
+        self.state = RecordingState(
+            enabled=self.state.enabled,
+            file=status.file,
+            samples=status.samples,
+            missing_blocks=status.missing_blocks,
+            problem=None if begins else self.state.problem,
+        )
 
     def _mark_stopped(self, text: str) -> None:
         self.state = self.state.model_copy(update={"problem": text, "file": None, "samples": 0})

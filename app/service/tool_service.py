@@ -14,6 +14,21 @@ import zmq.asyncio
 from pydantic import BaseModel
 
 from acquisition import bus
+from acquisition.notices import (
+    Acquiring,
+    AcquisitionFailed,
+    AcquisitionStalled,
+    CompilingFilters,
+    Estimating,
+    GraspReleased,
+    Monitoring,
+    MotorNotZeroed,
+    MotorZeroed,
+    Notice,
+    RecorderStatus,
+    RunEnded,
+    RunMetadata,
+)
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
 from acquisition.worker_process import take_server_priority
@@ -25,20 +40,12 @@ from app.index.index_writer import IndexWriter
 from app.index.ingest import IndexedMessage
 from app.index.rebuild import BEHIND_MARKER_FILE
 from app.index.store import Store
-from app.messages.wire import (
-    AlarmKind,
-    EventMessage,
-    Grasp,
-    GraspEnded,
-    Identification,
-    JournalKind,
-    Phase,
-    Priority,
-    Run,
-    RunState,
-    State,
-)
-from app.recordings.recorder import DEMO_ID_PREFIX, RunMetadata
+from app.messages.alarms import AlarmKind
+from app.messages.grasps import Grasp, GraspEnded, Identification
+from app.messages.journal import JournalKind
+from app.messages.live import EventMessage, Phase, State
+from app.messages.runs import Run, RunState
+from app.recordings.recorder import DEMO_ID_PREFIX
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
 from app.service.control_lease import ControlLease
@@ -59,7 +66,8 @@ from config.schema import GraspProtocol, ToolKind
 from config.service_plan import ServicePlan
 from estimator.decision import UNDECIDED, UNKNOWN
 from estimator.estimate_block import finite_or_none
-from estimator.worker import unpack_estimates
+from estimator.estimate_messages import unpack_estimates
+from estimator.force_alarms import Priority
 
 MAX_INITIAL_GRASPS = 200  # finished grasps of the last run that a new viewer receives
 MAX_MESSAGES_PER_TURN = 50  # of one bus socket, before other tasks of the event loop run
@@ -449,30 +457,30 @@ class ToolService:
         self._aligner.add_estimates(block)
         self._translator.process(block, now_ms(), monotonic_to_wall_ms(block.t_mono_ns))
 
-    def _on_notice(self, notice: dict[str, Any]) -> None:
-        match notice["kind"]:
-            case "compiling":
+    def _on_notice(self, notice: Notice) -> None:
+        match notice:
+            case CompilingFilters():
                 self.publish_event("Preparing the filters (compiled on the first start, which takes up to a minute)")
-            case "estimating":
+            case Estimating():
                 self._fault_texts.pop("estimator", None)
-                self.realtime["estimator"] = notice["realtime"]
+                self.realtime["estimator"] = notice.realtime
                 if self.supervisor.mark_running("estimator"):
                     self.watchdog.on_estimator_started()
                 self.estimator_ready.set()
                 self.supervisor.open_tool()
-            case "acquiring":
+            case Acquiring():
                 self._fault_texts.pop("acquisition", None)
-                self.realtime["acquisition"] = notice["realtime"]
-                self.publish_event(f"The tool is acquiring; {notice['realtime']}")
-            case "fault":
-                self._fault_texts[notice["worker"]] = notice["text"]
-                self.alarms.raise_technical(notice["worker"], Priority.HIGH, notice["text"])
-            case "stalled":
-                self.publish_event(notice["text"])
-            case "let_go":
-                self.alarms.raise_latched("let-go", AlarmKind.FORCE, notice["text"])
-            case "run_ended":
-                self._end_run(notice["run_id"], RunState(notice["end"]), notice["why"])
+                self.realtime["acquisition"] = notice.realtime
+                self.publish_event(f"The tool is acquiring; {notice.realtime}")
+            case AcquisitionFailed():
+                self._fault_texts["acquisition"] = notice.text
+                self.alarms.raise_technical("acquisition", Priority.HIGH, notice.text)
+            case AcquisitionStalled():
+                self.publish_event(notice.text)
+            case GraspReleased():
+                self.alarms.raise_latched("let-go", AlarmKind.FORCE, notice.text)
+            case RunEnded():
+                self._end_run(notice.run_id, RunState(notice.end), notice.why)
         self.publish_state()
 
     def _on_recorder(self, parts: list[bytes]) -> None:
@@ -480,8 +488,8 @@ class ToolService:
         self.supervisor.mark_running("recorder")
         before = self.recorder_link.state.file
         notice = bus.unpack_notice(parts)
-        if "realtime" in notice:
-            self.realtime["recorder"] = notice["realtime"]
+        if isinstance(notice, RecorderStatus):
+            self.realtime["recorder"] = notice.realtime
         self.recorder_link.on_notice(notice)
         if self.recorder_link.state.file != before:
             self.publish_state()
@@ -490,14 +498,14 @@ class ToolService:
         self.watchdog.feed("guard")
         self.supervisor.mark_running("guard")
         notice = bus.unpack_notice(parts)
-        match notice["kind"]:
-            case "guarding":
-                self.realtime["guard"] = notice["realtime"]
-            case "zeroed":
+        match notice:
+            case Monitoring():
+                self.realtime["guard"] = notice.realtime
+            case MotorZeroed():
                 self._on_motor_fault(None)
-                self.alarms.raise_technical("samples", Priority.HIGH, notice["text"])
-            case "not_zeroed":
-                self._on_motor_fault(notice["text"])
+                self.alarms.raise_technical("samples", Priority.HIGH, notice.text)
+            case MotorNotZeroed():
+                self._on_motor_fault(notice.text)
 
     def _on_foxglove(self, parts: list[bytes]) -> None:
         if self.supervisor.mark_running("foxglove"):

@@ -107,7 +107,7 @@ class Report:
             "held": self.labels.get(recording.title) or recording.tissue,
             "grasps": [
                 {
-                    **to_json_value(asdict(record)),
+                    **to_json_value(record.model_dump()),
                     "group": observation.group,
                     "thickness_m": recording.thickness_m.get(record.index),
                     "alarms": [to_json_value(asdict(alarm)) for alarm in recording.grasp_alarms(record)],

@@ -8,7 +8,7 @@ from pathlib import Path
 from acquisition.recordings.labview import read_start_time
 from acquisition.recordings.recording import RecordingSource
 from acquisition.signals.pipeline import ConditioningPipeline
-from app.messages.wire import RunState
+from app.messages.runs import RunState
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
 from app.recordings.mcap_writer import RECORDING_SUFFIX, RecordingContext
 from config.errors import RecordingError
