@@ -105,6 +105,11 @@ class RecordingSource:
         return
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was converted when the file was read, in words."""
+        return self.labview_log.remarks if self.labview_log else ()
+
+    @property
     def sample_count(self) -> int:
         """Number of samples without those skipped."""
         return len(self._recorded.ticks) - self._skipped_rows

@@ -14,6 +14,7 @@ import zmq.asyncio
 from pydantic import BaseModel
 
 from acquisition import bus
+from acquisition.recordings.file_names import DEMO_ID_PREFIX
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
 from acquisition.worker_process import take_server_priority
@@ -38,7 +39,7 @@ from app.messages.wire import (
     RunState,
     State,
 )
-from app.recordings.recorder import DEMO_ID_PREFIX, RunMetadata
+from app.recordings.recorder import RunMetadata
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
 from app.service.control_lease import ControlLease
