@@ -6,9 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import rich.markup
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from app import __version__
@@ -16,7 +14,8 @@ from app.cli import audit, calibrate, exchange, study
 from app.cli import token as people
 from app.cli.bench import bench
 from app.cli.check import check
-from app.cli.label_option import LearnCommand
+from app.cli.console import accept_any_name, create_console, error_console, print_error, print_note
+from app.cli.label_option import LabelCommand, LearnCommand
 from app.cli.learn import learn
 from app.cli.options import (
     DEFAULT_RECORDING_TOOL,
@@ -29,7 +28,6 @@ from app.cli.options import (
     TlsCertOption,
     TlsKeyOption,
     ToolOption,
-    error_console,
     prepare_data_folder,
 )
 from app.cli.report import report
@@ -63,8 +61,9 @@ app.add_typer(study.app, name="study")
 app.add_typer(audit.app, name="audit")
 app.add_typer(people.app, name="token")
 app.add_typer(calibrate.app, name="calibrate")
-for command in (*exchange.COMMANDS, report, check, bench, support):
+for command in (*exchange.COMMANDS, check, bench, support):
     app.command(command.__name__.strip("_").replace("_", "-"))(command)
+app.command("report", cls=LabelCommand)(report)
 app.command("learn", cls=LearnCommand)(learn)
 
 
@@ -240,6 +239,8 @@ def replay(
             if recording.mcap_file is None:
                 raise ConfigurationError(f"{path}: LabVIEW's files hold no library. Leave --as-recorded out.")
             how = RecordingContext.from_recording(recording.mcap_file)
+        for remark in recording.remarks:
+            print_note(f"{path}: {remark}.")
         with ProgressBar(path.name, 1.0) as progress:
             report = replay_recording(recording, how, progress)
         documents.append(report.document())
@@ -328,7 +329,7 @@ def _print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         print(json.dumps(documents[0] if len(documents) == 1 else documents, indent=2, allow_nan=False))
         return
-    console = Console()
+    console = create_console()
     for document in documents:
         console.print(_build_table(document))
 
@@ -363,10 +364,11 @@ def _build_table(document: dict[str, Any]) -> Table:
 
 def main() -> None:
     """Run the command line; print an expected error as one message, and exit with its code."""
+    accept_any_name()
     try:
         app()
     except GraspwatchError as error:
-        error_console.print("[bold red]Error:[/]", rich.markup.escape(str(error)), soft_wrap=True)
+        print_error(str(error))
         sys.exit(error.exit_code)
     except BrokenPipeError:
         sys.exit(0)

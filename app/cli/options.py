@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from app.cli.console import error_console
 from config.errors import ConfigurationError
 from config.schema import Settings
-
-error_console = Console(stderr=True, highlight=False)
 
 LibraryOption = Annotated[
     str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
@@ -60,7 +58,12 @@ class ProgressBar:
     """A progress bar on the error output, if that is a terminal; call it with the amount done."""
 
     def __init__(self, title: str, total: float) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
         self._bar = Progress(*columns, console=error_console, transient=True, disable=not error_console.is_terminal)
         self._task = self._bar.add_task(title, total=total)
         self._due_s = 0.0

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from acquisition.notices import RunMetadata
 from acquisition.recordings import mcap_layout
+from acquisition.recordings.file_names import DEMO_ID_PREFIX
 from acquisition.sample_block import SampleBlock
 from app.host.disk import free_bytes
 from app.messages.runs import Run, RunState
@@ -19,7 +20,6 @@ from estimator.estimate_messages import PublishedEstimates
 
 RUN_END_TIMEOUT_S = 10.0  # time limit for a hanging server to report a run's end
 LATE_DATA_GRACE_S = 0.2  # estimates come after their samples, and messages of a run after its last sample
-DEMO_ID_PREFIX = "demo-"  # first part of the id of a demonstration's run
 
 
 class RecordingStoppedError(Exception):

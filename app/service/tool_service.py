@@ -29,6 +29,7 @@ from acquisition.notices import (
     RunEnded,
     RunMetadata,
 )
+from acquisition.recordings.file_names import DEMO_ID_PREFIX
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
 from acquisition.worker_process import take_server_priority
@@ -45,7 +46,6 @@ from app.messages.grasps import Grasp, GraspEnded, Identification
 from app.messages.journal import JournalKind
 from app.messages.live import EventMessage, Phase, State
 from app.messages.runs import Run, RunState
-from app.recordings.recorder import DEMO_ID_PREFIX
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
 from app.service.control_lease import ControlLease
