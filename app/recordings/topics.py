@@ -30,7 +30,7 @@ TOPIC_MODELS: dict[str, type[Record]] = {
     IDENTIFICATION_TOPIC: Identification,
     JOURNAL_TOPIC: JournalEntry,
 }
-_MODEL_TOPICS = {model: topic for topic, model in TOPIC_MODELS.items()}
+_MODEL_TOPICS: dict[type[BaseModel], str] = {model: topic for topic, model in TOPIC_MODELS.items()}
 
 
 def find_topic(message: BaseModel) -> str | None:
