@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from acquisition.sample_block import field_names
 from estimator.force_alarms import ForceAlarm
@@ -42,8 +42,10 @@ def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
     return rows
 
 
-class IdentificationResult(BaseModel, frozen=True):
+class IdentificationResult(BaseModel):
     """The answer for the current grasp at `tick`; None means no value."""
+
+    model_config = ConfigDict(frozen=True)
 
     tick: int
     grasp: int = Field(description="0 before the first grasp")
@@ -65,8 +67,10 @@ class IdentificationResult(BaseModel, frozen=True):
     force_error_n: dict[str, float | None]
 
 
-class GraspRecord(BaseModel, frozen=True):
+class GraspRecord(BaseModel):
     """A finished grasp. Times are in seconds since the source's first sample; None means no value."""
+
+    model_config = ConfigDict(frozen=True)
 
     index: int
     start_s: float

@@ -9,7 +9,7 @@ from estimator.estimate_block import GraspRecord, IdentificationResult
 from estimator.force_alarms import Priority
 
 
-class Identification(IdentificationResult, Record, frozen=True):
+class Identification(IdentificationResult, Record):
     """The answer for the grasp under way, sent at every change and ten times a second during a grasp."""
 
     type: Literal["identification"] = "identification"
@@ -20,7 +20,7 @@ class Identification(IdentificationResult, Record, frozen=True):
         return cls(**dict(result), server_time_ms=server_time_ms)
 
 
-class Grasp(GraspRecord, Record, frozen=True):
+class Grasp(GraspRecord, Record):
     """A finished grasp. A field without a value is null."""
 
     alarms: list[Priority] = Field(description="Force warnings during the grasp: the highest of each rise of the force")
