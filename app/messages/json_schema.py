@@ -6,6 +6,7 @@ older clients or older files do not bear: see "Versions" in `docs/programs.md`.
 """
 
 import json
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -153,11 +154,12 @@ def find_refused_changes(wire_before: dict[str, Any], records_before: dict[str, 
     wire, records = build_schema(), build_records_schema()
     refused = find_unreadable_changes(records_before["$defs"], records["$defs"])
     if wire["x-schema-version"] <= wire_before["x-schema-version"]:
-        requests = {each.__name__ for each in SENT_BY_CLIENT}
         before = wire_before["$defs"]
-        sent = {name: content for name, content in before.items() if name not in requests}
-        refused += find_unreadable_changes({name: before[name] for name in before.keys() & requests}, wire["$defs"])
-        refused += find_unexpected_changes(sent, wire["$defs"])
+        requests = {each.__name__: before[each.__name__] for each in SENT_BY_CLIENT if each.__name__ in before}
+        values = {name: before[name] for name in re.findall(r"#/\$defs/(\w+)", json.dumps(requests))}
+        answers = {name: content for name, content in before.items() if name not in requests}
+        refused += find_unreadable_changes(requests | values, wire["$defs"])
+        refused += find_unexpected_changes(answers, wire["$defs"])
         if wire["x-frame"] != wire_before["x-frame"]:
             refused.append("the binary frame changed")
     return refused

@@ -66,6 +66,7 @@ def test_the_code_as_it_is_and_added_fields_are_accepted():
         (set_field("RunRequest", "protocol", None), "RunRequest.protocol has no default"),
         (set_field("RunRequest", "speed", {"type": "number"}), "RunRequest.speed is lost"),
         (lambda schema: schema["$defs"]["Phase"]["enum"].remove("replay"), "Phase has values"),
+        (lambda schema: schema["$defs"]["CalibrationKind"]["enum"].append("weight"), "CalibrationKind does not accept"),
         (lambda schema: schema["$defs"].update(Mood={"type": "object", "properties": {}}), "Mood is lost"),
         (lambda schema: schema["x-frame"].update(header_bytes=28), "the binary frame changed"),
     ],

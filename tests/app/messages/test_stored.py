@@ -105,8 +105,10 @@ def with_unknown_fields(content: Any) -> Any:
     """The content as a later version may write it: with a further field in each object of a record."""
     if not isinstance(content, dict):
         return content
-    inner = {name: with_unknown_fields(each) if name in ("run", "alarm", "file", "grasp") else each
-             for name, each in content.items()}  # fmt: skip
+    inner = {
+        name: with_unknown_fields(each) if name in ("run", "alarm", "file", "grasp") else each
+        for name, each in content.items()
+    }
     return {"of_a_later_version": {"x": [1, None]}, **inner}
 
 
@@ -117,10 +119,21 @@ STORED_RECORDS: list[Record] = [
     record(),
     line(run=run(), alarm=alarm(), file=record()),
     StudyRun(
-        id="1", study="identify", title="", grasps=1, seed=0, by=None, state="finished", done=1, of=1,
-        started_at="2026-11-30", ended_at=None, why=None, report=None,
+        id="1",
+        study="identify",
+        title="",
+        grasps=1,
+        seed=0,
+        by=None,
+        state="finished",
+        done=1,
+        of=1,
+        started_at="2026-11-30",
+        ended_at=None,
+        why=None,
+        report=None,
     ),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("stored", STORED_RECORDS, ids=lambda each: type(each).__name__)
