@@ -4,7 +4,8 @@ import time
 from collections.abc import Callable
 
 from app.messages.wire import Priority
-from app.service.supervisor import Supervisor, WorkerCondition
+from app.service.supervisor import Supervisor
+from app.service.workers import WorkerCondition
 from app.stream.alarms import AlarmManager
 
 SILENCE_ALARM_S = 0.4
