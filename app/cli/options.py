@@ -1,4 +1,4 @@
-"""Shared parts of the commands: options, the data folder, the progress bar, the error console."""
+"""Shared parts of the commands: options, the data folder and its recordings, the progress bar, the error console."""
 
 import tempfile
 import time
@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from config.errors import ConfigurationError
+from config.errors import ConfigurationError, RecordingError
+from config.load import load_settings
 from config.schema import Settings
 
 error_console = Console(stderr=True, highlight=False)
@@ -54,6 +55,24 @@ def prepare_data_folder(folder_option: Path | None, settings: Settings) -> Path:
             f"{folder}: is no folder to keep data in ({error.strerror}). Name another with --data."
         ) from None
     return folder.resolve()
+
+
+def find_recording_file(run: str, config: Path | None, data: Path | None) -> Path:
+    """Find the file of a run by its path or, in the data folder, by its id.
+
+    Raises:
+        RecordingError: there is no such recording.
+    """
+    named = Path(run)
+    if named.suffix == ".mcap" or named.exists():
+        return named
+    if run.endswith((".lvm", ".lvm.gz")):
+        raise RecordingError(f"{run}: there is no such file. Check the path.")
+    folder = prepare_data_folder(data, load_settings(config)) / "recordings"
+    path = folder / f"{run}.mcap"
+    if not path.is_file():
+        raise RecordingError(f"There is no recording of a run {run!r} in {folder}. Name another folder with --data.")
+    return path
 
 
 class ProgressBar:
