@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
+from app.host.atomic_write import write_atomically
 from app.host.background_process import SendMessage, run_in_background_process
 from app.messages.wire import StudyRun, StudyState
 from config.errors import RefusedError, ServiceError
@@ -148,10 +149,7 @@ class StudyRunner:
 
 
 def _write_record(folder: Path, run: StudyRun) -> None:
-    path = folder / run.id / RECORD_FILE
-    part = path.with_suffix(".part")
-    part.write_text(run.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    write_atomically(folder / run.id / RECORD_FILE, run.model_dump_json(indent=2) + "\n")
 
 
 def _read_records(folder: Path) -> dict[str, StudyRun]:

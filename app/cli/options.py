@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from app.host.atomic_write import write_atomically
 from config.errors import ConfigurationError, RecordingError
 from config.load import load_settings
 from config.schema import Settings
@@ -73,6 +74,20 @@ def find_recording_file(run: str, config: Path | None, data: Path | None) -> Pat
     if not path.is_file():
         raise RecordingError(f"There is no recording of a run {run!r} in {folder}. Name another folder with --data.")
     return path
+
+
+def write_output(path: Path, text: str) -> None:
+    """Write a file that `--out` names, whole or not at all.
+
+    Raises:
+        ConfigurationError: the file cannot be written.
+    """
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be written ({error.strerror}). Free some space, or name another place with --out."
+        ) from None
 
 
 class ProgressBar:

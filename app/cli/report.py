@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar
+from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, write_output
 from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary
@@ -69,7 +69,7 @@ def report(
     _check_output_paths(page_path, data_path)
 
     from app.analysis.report.page import render_report_page  # a slow import, made after the options are checked
-    from app.analysis.report.report import analyze_recordings, read_common_configuration, write_atomically
+    from app.analysis.report.report import analyze_recordings, read_common_configuration
 
     if library is None and config is None:
         profiles, settings = read_common_configuration(files) or (profiles, settings)
@@ -80,13 +80,8 @@ def report(
             render_report_page(made, progress),
             json.dumps(made.document(), indent=2, allow_nan=False) + "\n",
         )
-    try:
-        write_atomically(page_path, text)
-        write_atomically(data_path, document)
-    except OSError as error:
-        raise ConfigurationError(
-            f"{page_path}: cannot be written ({error.strerror}). Name another with --out."
-        ) from None
+    write_output(page_path, text)
+    write_output(data_path, document)
     if as_json:
         print(document, end="")
         return
