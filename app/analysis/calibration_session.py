@@ -80,7 +80,8 @@ class CalibrationSession:
         self.state = NO_CALIBRATION.model_copy(update={"what": request.what, "values": values})
 
     def discard(self) -> None:
-        """
+        """Discard the measurements so far.
+
         Raises:
             RefusedError: a reading is under way; a stop ends it.
         """

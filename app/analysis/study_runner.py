@@ -115,10 +115,11 @@ class StudyRunner:
         while True:
             try:
                 (self.folder / study_id).mkdir(parents=True)
-                return study_id
             except FileExistsError:
                 number += 1
                 study_id = f"{name}-{number}"
+            else:
+                return study_id
 
     def _on_progress(self, progress: tuple[int, int]) -> None:
         done, of = progress

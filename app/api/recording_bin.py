@@ -93,7 +93,8 @@ class RecordingBin:
             )
 
     async def find(self, entry: str) -> BinnedFile:
-        """
+        """Return an entry of the bin.
+
         Raises:
             RefusedError: there is no such entry.
         """
