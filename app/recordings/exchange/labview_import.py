@@ -5,9 +5,9 @@ from collections.abc import Callable
 from datetime import UTC
 from pathlib import Path
 
+from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.labview import read_start_time
 from acquisition.recordings.recording import RecordingSource
-from acquisition.signals.pipeline import ConditioningPipeline
 from app.messages.wire import RunState
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
 from app.recordings.mcap_writer import RECORDING_SUFFIX, RecordingContext
@@ -46,33 +46,17 @@ def import_labview(
     run = create_run(path.stem, IMPORTED_PROTOCOL, 1, tissue)
     if began:
         run = run.model_copy(update={"started_at": began.replace(tzinfo=UTC).isoformat()})
-    with (
-        recording,
-        HeadlessRecorder(
-            path, recording_context, run, started_ns=started_ns, metadata=about, discard_on_error=True
-        ) as file,
-    ):
-        _process_recording(recording, recording_context, file, progress)
+    tool, settings = recording_context.tool, recording_context.settings
+    session = TissueEstimator(tool, recording_context.library, settings)
+    with HeadlessRecorder(
+        path, recording_context, run, started_ns=started_ns, metadata=about, discard_on_error=True
+    ) as file:
+        for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
+            file.append(block, session.process(block))
+        file.add_interrupted_grasp(session.finish())
         file.run = file.run.model_copy(update={"cycles": max(file.run.grasps, 1)})
         file.end_run(RunState.FINISHED, f"imported from {source.name}")
     return path
-
-
-def _process_recording(
-    recording: RecordingSource,
-    recording_context: RecordingContext,
-    file: HeadlessRecorder,
-    progress: Callable[[float], None],
-) -> None:
-    pipeline = ConditioningPipeline(recording_context.tool, recording_context.settings.conditioning)
-    session = TissueEstimator(recording_context.tool, recording_context.library, recording_context.settings)
-    done = 0
-    while (raw := recording.read_block()) is not None:
-        block = pipeline.process(raw)
-        file.append(block, session.process(block))
-        done += len(raw)
-        progress(done / recording.sample_count)
-    file.add_interrupted_grasp(session.finish())
 
 
 def _name_without_suffixes(source: Path) -> str:
