@@ -1,11 +1,11 @@
 """The acquisition's loop body: read a block, condition it, check sensors and force, set the next motor command."""
 
 import math
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import replace
 
 from acquisition.drivers.command_history import CommandBounds, CommandHistory
 from acquisition.drivers.source import SampleSource
+from acquisition.notices import RunEnded, RunOutcome
 from acquisition.protocol_player import ProtocolPlayer
 from acquisition.safety.force_limiter import (
     ForceLimiter,
@@ -43,21 +43,6 @@ SCALE_UNKNOWN_TEXT = (
 )
 
 
-class RunOutcome(StrEnum):
-    """Outcome of a run."""
-
-    FINISHED = "finished"
-    STOPPED = "stopped"
-    FAILED = "failed"
-
-
-@dataclass(frozen=True, slots=True)
-class EndedRun:
-    run_id: str
-    end: RunOutcome
-    why: str
-
-
 def describe_release(why: str) -> str:
     """Return the notice's text for a grasp that the limiter released."""
     return f"The grasp was let go with the motor at zero: {why}."
@@ -88,7 +73,7 @@ class AcquisitionController:
         self.safety, self.why = safety, why
         self._player: ProtocolPlayer | None = None
         self._run_id = ""
-        self._ended_runs: list[EndedRun] = []
+        self._ended_runs: list[RunEnded] = []
         self._test_failure = (
             "the tool did not stay at rest for long enough: try again"  # reason of the last failed check
         )
@@ -177,7 +162,7 @@ class AcquisitionController:
         if not self.running:
             return False
         self._player = None
-        self._ended_runs.append(EndedRun(self._run_id, end, why))
+        self._ended_runs.append(RunEnded(self._run_id, end, why))
         return True
 
     def _apply_event(self, event: SafetyEvent) -> bool:
@@ -292,7 +277,7 @@ class AcquisitionController:
         ) or command_v == 0.0:
             self._command_history.append(self._source.write_command(command_v), self._limiter_flags)
 
-    def pop_ended_runs(self) -> list[EndedRun]:
+    def pop_ended_runs(self) -> list[RunEnded]:
         """Return the runs that ended since the last call."""
         ended, self._ended_runs = self._ended_runs, []
         return ended

@@ -9,7 +9,7 @@ import nidaqmx
 
 from acquisition.bench.tool_check import HardwareCheck
 from acquisition.drivers.nidaq import NidaqSource, create_session_options
-from config.load import build_graspable_library, load_library
+from config.load import build_graspable_library, load_library, load_tool
 from config.schema import TissueLibrary, Tool, ToolKind
 
 if TYPE_CHECKING:
@@ -67,6 +67,9 @@ def _build_simulated_tool(
     from acquisition.simulation.service import create_in_process_options
 
     grasper = SimulatedGrasper(tool, build_graspable_library(library), tissue, seed)
-    board = SimulatedBoard(tool, grasper, VirtualClock() if virtual else RealClock())
+    # The board is wired as the shipped file says, so that a mistake in another file shows as on a real board.
+    wired = load_tool("simulated")
+    as_wired = tool.model_copy(update={"board": wired.board, "channels": wired.channels})
+    board = SimulatedBoard(as_wired, grasper, VirtualClock() if virtual else RealClock())
     clock: Callable[[], int] = board.clock.now_ns if virtual else time.monotonic_ns
     return create_in_process_options(board), clock, grasper

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 
 import zmq
@@ -10,6 +10,7 @@ import zmq
 from acquisition import bus
 from acquisition.acquisition_loop import AcquisitionController, describe_release
 from acquisition.drivers.nidaq import NidaqSource
+from acquisition.notices import Acquiring, AcquisitionFailed, AcquisitionStalled, GraspReleased
 from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety.safety_monitor import RESET_AFTER_SILENCE_S
 from acquisition.safety.server_watch import ServerWatchdog
@@ -55,7 +56,7 @@ def main(setup: AcquisitionSetup) -> None:
         try:
             _run_acquisition(setup, life.publisher, life.context, life.stop)
         except GraspwatchError as error:
-            life.publisher.send_multipart(bus.pack_notice("fault", worker="acquisition", text=str(error)))
+            life.publisher.send_multipart(bus.pack_notice(AcquisitionFailed(str(error))))
             raise SystemExit(error.exit_code) from None
 
 
@@ -77,7 +78,7 @@ def _run_acquisition(
             return
     with source:
         granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=0)
-        publisher.send_multipart(bus.pack_notice("acquiring", realtime=str(granted)))
+        publisher.send_multipart(bus.pack_notice(Acquiring(str(granted))))
         stalls, renewed_s = StallDetector(source, acquisition, publisher), time.monotonic()
         while not stop.is_set and (block := stalls.process_block()) is not None:
             publisher.send_multipart(bus.pack_samples(block))
@@ -160,7 +161,7 @@ class StallDetector:
         return delay_s
 
     def _publish_stall(self, text: str) -> None:
-        self._publisher.send_multipart(bus.pack_notice("stalled", text=text))
+        self._publisher.send_multipart(bus.pack_notice(AcquisitionStalled(text)))
 
 
 def _describe_delay(delay_s: float) -> str:
@@ -170,9 +171,9 @@ def _describe_delay(delay_s: float) -> str:
 def _publish_events(acquisition: AcquisitionController, publisher: zmq.Socket) -> None:
     """Publish released grasps and ended runs."""
     for why in acquisition.pop_release_reasons():
-        publisher.send_multipart(bus.pack_notice("let_go", text=describe_release(why)))
+        publisher.send_multipart(bus.pack_notice(GraspReleased(describe_release(why))))
     for ended in acquisition.pop_ended_runs():
-        publisher.send_multipart(bus.pack_notice("run_ended", **asdict(ended)))
+        publisher.send_multipart(bus.pack_notice(ended))
 
 
 def _execute_command(command: bus.AnyCommand | None, acquisition: AcquisitionController) -> bus.CommandReply:

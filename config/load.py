@@ -9,7 +9,9 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from config.errors import ConfigurationError
+from config.plausible_ranges import check_plausible
 from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
+from config.tissue_names import check_tissue_names
 
 CONFIG_DIR = Path(__file__).parent
 
@@ -109,9 +111,14 @@ def load_file(path: Path, model: type[ModelT]) -> ModelT:
     except RecursionError:
         raise ConfigurationError(f"{path}: holds tables within tables without end. Check the file.") from None
     try:  # via JSON, whose strict mode accepts arrays for tuples and strings for enums, but not "5" for 5
-        return model.model_validate_json(as_json)
+        loaded = model.model_validate_json(as_json)
     except ValidationError as error:
         raise ConfigurationError(describe_validation_errors(str(path), error, model)) from None
+    if isinstance(loaded, TissueLibrary):  # not so for those in recordings, which older versions wrote
+        check_tissue_names(loaded.tissues, f"{path}: tissues")
+    if isinstance(loaded, Tool):
+        check_plausible(loaded, str(path))
+    return loaded
 
 
 def _check_nesting_depth(content: dict[str, Any]) -> None:

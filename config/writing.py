@@ -61,7 +61,11 @@ def write_calibrated_tool(
         )
     except OSError as error:
         raise _create_unwritable_error(into, error) from None
-    load_tool(str(path))
+    try:
+        load_tool(str(path))
+    except ConfigurationError:
+        path.unlink()
+        raise
     return path
 
 

@@ -13,7 +13,7 @@ from typer.main import get_command
 
 from app.api.app import ROUTERS
 from app.cli import main
-from app.messages import wire
+from app.messages import live
 from app.messages.json_schema import HEADER_FIELDS, build_schema, describe_frame_layout
 from app.people.route_permissions import collect_route_permissions
 from app.service.metrics import Metrics
@@ -100,7 +100,7 @@ def _name(prop: dict[str, Any]) -> str:
 def stream() -> str:
     """Messages and frames of `/api/live`."""
     contract = build_schema()["$defs"]
-    parts = [f"# Live stream\n\n{WRITTEN}\n{_paragraphs(wire.__doc__)}\n", "## What the server sends\n"]
+    parts = [f"# Live stream\n\n{WRITTEN}\n{_paragraphs(live.__doc__)}\n", "## What the server sends\n"]
     parts += [_table(name, contract) for name in MESSAGES]
     parts.append("## What a viewer sends\n")
     parts += [_table(name, contract) for name in ANSWERS]

@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from acquisition.sample_block import field_names
 from estimator.force_alarms import ForceAlarm
@@ -41,39 +42,41 @@ def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
     return rows
 
 
-@dataclass(frozen=True, slots=True)
-class IdentificationResult:
-    """The answer for the current grasp at `tick`. `grasp` counts from 1 and is 0 before the first."""
+class IdentificationResult(BaseModel):
+    """The answer for the current grasp at `tick`; None means no value."""
+
+    model_config = ConfigDict(frozen=True)
 
     tick: int
-    grasp: int
+    grasp: int = Field(description="0 before the first grasp")
     in_grasp: bool
     in_contact: bool
-    label: str
+    label: str = Field(description="A tissue's name, `unknown` or `undecided`")
     probability: float | None
     probabilities: dict[str, float]
     time_to_decision_s: float | None
     force_n: float | None
     peak_force_n: float | None
-    threshold_n: float  # threshold in force, for the force alarms
-    threshold_tissue: str | None
-    limit_n: float | None  # limit that the limiter enforced at this sample
-    holding_back: bool
-    time_to_limit_s: float | None  # forecast while the force rises toward that limit
-    thickness_m: float | None  # of the tissue, measured at contact
+    threshold_n: float = Field(description="Injury threshold in force, for force alarms; no limit of the motor")
+    threshold_tissue: str | None = Field(description="Tissue of this threshold; null: the library's lowest one applies")
+    limit_n: float | None = Field(description="Limit that the limiter enforces; null: no limit is enforced")
+    holding_back: bool = Field(description="Whether the limiter keeps the command lower than the protocol asks for")
+    time_to_limit_s: float | None = Field(description="Until the force reaches the limit; null unless it rises")
+    thickness_m: float | None = Field(description="Thickness of the tissue, where the tool can measure it at contact")
     convergence_s: dict[str, float | None]
     force_error_n: dict[str, float | None]
 
 
-@dataclass(frozen=True, slots=True)
-class GraspRecord:
+class GraspRecord(BaseModel):
     """A finished grasp. Times are in seconds since the source's first sample; None means no value."""
+
+    model_config = ConfigDict(frozen=True)
 
     index: int
     start_s: float
     contact_s: float | None
     end_s: float
-    label: str
+    label: str = Field(description="A tissue's name, `unknown` or `undecided`")
     probability: float | None
     probabilities: dict[str, float]
     time_to_decision_s: float | None
@@ -86,7 +89,10 @@ class GraspRecord:
     force_error_n: dict[str, float | None]
     valid: bool
     why_invalid: str | None
-    peak_share_of_limit: float | None = None  # highest ratio of force to the limit enforced at the same time
+    peak_share_of_limit: float | None = Field(
+        default=None,
+        description="Highest ratio of the force to the limit enforced at that time; null: no limit was enforced",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,18 +1,18 @@
 """The estimator worker: the process that turns sample blocks into estimate blocks."""
 
-import json
 import time
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from acquisition import bus
+from acquisition.notices import CompilingFilters, Estimating
 from acquisition.worker_life import begin_worker
 from acquisition.worker_process import apply_realtime
 from config.schema import Settings, TissueLibrary, Tool
-from estimator.estimate_block import EstimateBlock, GraspRecord, IdentificationResult, LabelWithdrawal, estimate_dtype
-from estimator.force_alarms import ForceAlarm
+from estimator.estimate_block import IdentificationResult
+from estimator.estimate_messages import pack_estimates
 
 if TYPE_CHECKING:
     from estimator.online_estimator import TissueEstimator
@@ -37,7 +37,7 @@ def main(setup: EstimatorSetup) -> None:
     with begin_worker("estimator", setup.parent_pid, setup.endpoints.estimates) as life:
         samples = bus.open_subscriber(life.context, setup.endpoints.samples)
         limits = bus.open_publisher(life.context, setup.endpoints.thresholds)
-        life.publisher.send_multipart(bus.pack_notice("compiling"))
+        life.publisher.send_multipart(bus.pack_notice(CompilingFilters()))
         compile_filters(setup)
         granted = apply_realtime(setup.settings.realtime, REALTIME_PRIORITY, core_index=1)
         session = _create_estimator(setup)
@@ -46,7 +46,7 @@ def main(setup: EstimatorSetup) -> None:
         while not life.stop.is_set:
             if time.monotonic() - last_ready > 1.0:  # repeated, because a subscriber may connect late
                 granted.priority.renew()
-                life.publisher.send_multipart(bus.pack_notice("estimating", realtime=str(granted)))
+                life.publisher.send_multipart(bus.pack_notice(Estimating(str(granted))))
                 last_ready = time.monotonic()
             if not samples.poll(POLL_INTERVAL_MS):
                 continue
@@ -85,42 +85,3 @@ def _create_estimator(setup: EstimatorSetup) -> "TissueEstimator":
 def to_threshold_update(found: IdentificationResult) -> bus.ThresholdUpdate:
     """Return the threshold message for the acquisition's limiter."""
     return bus.ThresholdUpdate(found.threshold_n, found.threshold_tissue, found.tick)
-
-
-def pack_estimates(block: EstimateBlock, missing_blocks: int) -> list[bytes]:
-    header = {
-        "sequence": block.sequence,
-        "t_mono_ns": block.t_mono_ns,
-        "published_ns": time.monotonic_ns(),
-        "lost_samples": block.lost_samples,
-        "missing_blocks": missing_blocks,
-        "identification": bus.shallow_asdict(block.identification),
-        "ended": [asdict(grasp) for grasp in block.ended],
-        "alarms": [asdict(alarm) for alarm in block.alarms],
-        "withdrawn": [asdict(withdrawal) for withdrawal in block.withdrawn],
-    }
-    return [bus.ESTIMATES_TOPIC, json.dumps(header).encode(), block.estimates.tobytes()]
-
-
-@dataclass(frozen=True, slots=True)
-class ReceivedEstimates:
-    """An estimate block as received, with its time of publication and the number of blocks the estimator missed."""
-
-    block: EstimateBlock
-    published_ns: int
-    missing_blocks: int
-
-
-def unpack_estimates(parts: list[bytes], tissues: int) -> ReceivedEstimates:
-    header: dict[str, Any] = json.loads(parts[1])
-    block = EstimateBlock(
-        header["sequence"],
-        header["t_mono_ns"],
-        header["lost_samples"],
-        np.frombuffer(parts[2], estimate_dtype(tissues)),
-        IdentificationResult(**header["identification"]),
-        tuple(GraspRecord(**grasp) for grasp in header["ended"]),
-        tuple(ForceAlarm(**alarm) for alarm in header["alarms"]),
-        tuple(LabelWithdrawal(**withdrawal) for withdrawal in header["withdrawn"]),
-    )
-    return ReceivedEstimates(block, header["published_ns"], header["missing_blocks"])

@@ -1,4 +1,4 @@
-"""The Python client: REST interface and live stream of a service, with the messages of `app/messages/wire.py`."""
+"""The Python client: REST interface and live stream of a service, with the messages of `app/messages/`."""
 
 import asyncio
 import contextlib
@@ -12,30 +12,15 @@ from typing import Any, Self
 import httpx
 from pydantic import BaseModel
 
-from app.messages.wire import (
-    AcknowledgeRequest,
-    Alarm,
-    ArmRequest,
-    Calibration,
-    ControlInfo,
-    ControlRequest,
-    Grasp,
-    Health,
-    Identification,
-    JournalEntry,
-    LibraryInfo,
-    ProtocolInfo,
-    Recordings,
-    Run,
-    RunRequest,
-    RunState,
-    SafetyReport,
-    SessionInfo,
-    StopAnswer,
-    StopRequest,
-    System,
-    ToolInfo,
-)
+from app.messages.alarms import AcknowledgeRequest, Alarm
+from app.messages.calibration import Calibration
+from app.messages.grasps import Grasp, Identification
+from app.messages.journal import JournalEntry
+from app.messages.people import ControlInfo, ControlRequest, SessionInfo
+from app.messages.recordings import Recordings
+from app.messages.runs import Run, RunRequest, RunState, StopAnswer, StopRequest
+from app.messages.system import Health, System
+from app.messages.tool import ArmRequest, LibraryInfo, ProtocolInfo, SafetyReport, ToolInfo
 from config.network import is_this_computer
 from graspwatch.errors import ClientError
 from graspwatch.frames import Frame

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from app.messages.wire import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
+from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
 
 KINDS = {number: kind for kind, number in FRAME_KINDS.items()}
 

@@ -9,7 +9,8 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
-from app.messages.wire import SCHEMA_VERSION, FrameReceived, Hello, ServerMessage
+from app.messages.base import SCHEMA_VERSION
+from app.messages.live import FrameReceived, Hello, ServerMessage
 from config.network import is_this_computer
 from graspwatch.errors import ConnectionLostError
 from graspwatch.frames import Frame
@@ -78,5 +79,8 @@ def _parse_message(text: str, url: httpx.URL) -> BaseModel:
             f"The service at {url} speaks another version than this client: install the same. ({error})"
         ) from error
     if isinstance(message, Hello) and message.schema_version != SCHEMA_VERSION:
-        raise ConnectionLostError(f"The service at {url} is Graspwatch {message.version}, which speaks otherwise.")
+        raise ConnectionLostError(
+            f"The service at {url} is Graspwatch {message.version} with version {message.schema_version} of the live "
+            f"stream, and this client reads version {SCHEMA_VERSION}. Install the client of the service's version."
+        )
     return message

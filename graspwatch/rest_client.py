@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import httpx
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from app.messages.wire import Problem
+from app.messages.system import Problem
 from graspwatch.errors import RefusedError, UnreachableError
 
 Answer = TypeVar("Answer")

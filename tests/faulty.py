@@ -5,8 +5,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from acquisition.acquisition_loop import AcquisitionController, EndedRun
+from acquisition.acquisition_loop import AcquisitionController
 from acquisition.drivers.nidaq import NidaqSource
+from acquisition.notices import RunEnded
 from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety_state_machine import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
@@ -57,7 +58,7 @@ class Bench:
     grasps: list[GraspRecord] = field(default_factory=list)
     labels: list[str] = field(default_factory=list)
     limits_n: list[float] = field(default_factory=list)
-    ended: list[EndedRun] = field(default_factory=list)
+    ended: list[RunEnded] = field(default_factory=list)
     error: ToolError | None = None
 
     def __post_init__(self) -> None:

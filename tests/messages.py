@@ -3,19 +3,12 @@
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from app.messages.wire import (
-    Alarm,
-    AlarmKind,
-    FileCondition,
-    FileRecord,
-    Grasp,
-    GraspEnded,
-    JournalEntry,
-    JournalKind,
-    Priority,
-    Run,
-    RunState,
-)
+from app.messages.alarms import Alarm, AlarmKind
+from app.messages.grasps import Grasp, GraspEnded
+from app.messages.journal import JournalEntry, JournalKind
+from app.messages.recordings import FileCondition, FileRecord
+from app.messages.runs import Run, RunState
+from estimator.force_alarms import Priority
 
 BEGIN = datetime(2026, 11, 1, 8, tzinfo=UTC)
 

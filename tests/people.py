@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from app.messages.wire import Role
+from app.messages.people import Role
 from app.people import tokens
 from config.load import CONFIG_DIR
 

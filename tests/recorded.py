@@ -6,7 +6,11 @@ from pathlib import Path
 
 from app.index.ingest import IndexedMessage
 from app.index.rebuild import RecordingReader
-from app.messages.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Run
+from app.messages.alarms import Alarm
+from app.messages.grasps import GraspEnded
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileRecord
+from app.messages.runs import Run
 from config.errors import RecordingError
 
 KINDS = {kind.__name__: kind for kind in (Alarm, GraspEnded, JournalEntry, Run)}

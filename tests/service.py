@@ -19,7 +19,7 @@ import httpx
 import numpy as np
 from websockets.sync.client import connect
 
-from app.messages.wire import FRAME_HEADER
+from app.messages.live import FRAME_HEADER
 
 PROGRAM = Path(sys.executable).with_name("graspwatch")
 

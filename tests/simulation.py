@@ -107,7 +107,7 @@ def lvm_text(raw: RawBlock, columns: tuple[str, ...] = LVM_COLUMNS) -> str:
         each("Samples", "1000"),
         each("Date", date),
         each("Time", stamp),
-        "Y_Unit_Label\t" + "Volts\t" * (n - 1) + "\t",
+        "Y_Unit_Label\t" + "".join("\t" if name == LVM_COLUMNS[-1] else "Volts\t" for name in columns),
         each("X_Dimension", "Time"),
         each("X0", "0.0000000000000000E+0"),
         each("Delta_X", "0.001000"),

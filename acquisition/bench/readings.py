@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 import nidaqmx
 import numpy as np
 
-from acquisition.acquisition_loop import AcquisitionController, RunOutcome
+from acquisition.acquisition_loop import AcquisitionController
 from acquisition.bench import checks
 from acquisition.bench.checks import CheckOutcome, RawSignals
 from acquisition.bench.fits import LoadingPass
@@ -18,6 +18,7 @@ from acquisition.bench.jaw_motion import (
     zero_on_process_death,
 )
 from acquisition.drivers.nidaq import NidaqSource
+from acquisition.notices import RunOutcome
 from acquisition.recordings.recording import RecordingSource
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock

@@ -31,6 +31,7 @@ _BOARD_ERRORS = (DaqBaseError, OSError)
 
 READ_TIMEOUT_MARGIN_S = 0.008  # beyond the duration of a block: without samples the force is not known
 _WRITE_TIMEOUT_S = 1
+RATE_TOLERANCE = 1e-7  # of rounding; a clock's crystal is a hundred times worse
 COUNT_INTERVAL_NS, MAX_COUNT_LATENCY_NS, MAX_COUNT_AGE_NS = 100_000_000, 2_000_000, 1_000_000_000
 _GRPC_OPTIONS = (("grpc.max_reconnect_backoff_ms", 200), ("grpc.initial_reconnect_backoff_ms", 50))
 
@@ -41,7 +42,7 @@ _ERROR_TEXTS = {
     DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE: "{device} delivered only {got} of {wanted} samples in time: check that "
     "nothing else uses its sample clock, then start again.",
     DAQmxErrors.INVALID_DEVICE_ID: "There is no board named {device}: connect it, or set `device` under [board] in the "
-    "tool file to its name in NI MAX.",
+    "tool file to its name in NI MAX ({detail}).",
     DAQmxErrors.DEV_CANNOT_BE_ACCESSED: "{device} no longer answers: check its seat and power, then start again.",
     DAQmxErrors.PHYSICAL_CHAN_DOES_NOT_EXIST: "{device} lacks a channel that the tool file names under [channels]: "
     "correct it there ({detail}).",
@@ -235,6 +236,7 @@ class NidaqSource:
                 self._terminal(name), min_val=-channels.analog_range_v, max_val=channels.analog_range_v
             )
         self._configure_sample_clock(task, source="")
+        self._check_sample_rate(task.timing.samp_clk_rate)
         self._analog_reader = AnalogMultiChannelReader(task.in_stream)
         self._analog_reader.verify_array_shape = False
         return task
@@ -247,6 +249,16 @@ class NidaqSource:
     def _configure_sample_clock(self, task: nidaqmx.Task, source: str) -> None:
         rate_hz = self._tool.board.sample_rate_hz
         task.timing.cfg_samp_clk_timing(rate_hz, source=source, sample_mode=AcquisitionType.CONTINUOUS)
+
+    def _check_sample_rate(self, made_hz: float) -> None:
+        """Refuse a rate that the board cannot make, and which the driver has replaced by the nearest one."""
+        board = self._tool.board
+        if abs(made_hz / board.sample_rate_hz - 1.0) > RATE_TOLERANCE:
+            self._close()
+            raise ToolError(
+                f"{board.device} cannot make {board.sample_rate_hz:.10g} samples a second; it would make "
+                f"{made_hz:.10g}. Set `sample_rate_hz` under [board] in the tool file to a rate that it can make."
+            )
 
     def _terminal(self, name: str) -> str:
         return f"{self._tool.board.device}/{name}"

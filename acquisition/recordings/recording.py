@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from acquisition.drivers.command_history import AppliedCommand
 from acquisition.drivers.source import RawBlock
-from acquisition.recordings.labview import MAX_TIME_STEP_S, read_lvm
+from acquisition.recordings.labview import MAX_TIME_STEP_S, LabviewLog, read_labview_log
 from acquisition.recordings.mcap_layout import LIMIT_COLUMN, RAW_LAYOUT, RAW_TOPIC, SIGNAL_COLUMNS, TOOL_ATTACHMENT
 from acquisition.recordings.mcap_reader import COPY_AGAIN_TEXT, MAGIC, McapFile
 from config.errors import RecordingError
@@ -54,6 +54,7 @@ class RecordingSource:
         self.mcap_file = McapFile(path) if is_mcap(path) else None
         self.first_tick = 0  # tick in an MCAP file that counts as 0 here
         self.tool = tool if self.mcap_file is None else read_recorded_tool(self.mcap_file)
+        self.labview_log: LabviewLog | None = None if self.mcap_file else read_labview_log(path, tool)
         self._recorded = self._read()
         self._rate_hz = self.tool.board.sample_rate_hz
         if self.duration_s > MAX_TIME_STEP_S:
@@ -68,7 +69,8 @@ class RecordingSource:
 
     def _read(self) -> _RecordedSamples:
         if self.mcap_file is None:
-            table = read_lvm(self.path, self.tool)
+            assert self.labview_log
+            table = self.labview_log.table
             ticks = np.round((table[:, 0] - table[0, 0]) * self.tool.board.sample_rate_hz).astype(np.int64)
             signals = np.ascontiguousarray(table[:, [1, 5, 2, 3, 4]].T)
             held, limit_n = np.zeros(len(ticks), np.uint16), np.full(len(ticks), np.nan)
@@ -101,6 +103,11 @@ class RecordingSource:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         return
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was converted when the file was read, in words."""
+        return self.labview_log.remarks if self.labview_log else ()
 
     @property
     def sample_count(self) -> int:
@@ -162,7 +169,7 @@ def read_recorded_tool(container: McapFile) -> Tool:
         RecordingError: the file holds no tool, or one that this version cannot read.
     """
     try:
-        return Tool.model_validate_json(container.attachments[TOOL_ATTACHMENT])
+        return Tool.model_validate_json(container.attachments[TOOL_ATTACHMENT], extra="ignore")
     except (KeyError, ValidationError) as error:
         why = str(error).splitlines()[0]
         raise RecordingError(f"{container.path}: the tool it was recorded with cannot be read ({why}).") from None
@@ -175,4 +182,4 @@ def is_mcap(path: Path) -> bool:
             start = file.read(len(MAGIC))
     except OSError:
         start = b""
-    return start == MAGIC or path.suffix == ".mcap"
+    return start == MAGIC or path.suffix.lower() == ".mcap"

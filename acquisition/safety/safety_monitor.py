@@ -12,6 +12,7 @@ import zmq
 
 from acquisition import bus
 from acquisition.drivers.nidaq import read_driver_version, reset_device
+from acquisition.notices import Monitoring, MotorNotZeroed, MotorZeroed, RunEnded
 from acquisition.safety_state_machine import RUN_STATES
 from acquisition.worker_life import begin_worker
 from acquisition.worker_process import apply_realtime
@@ -51,12 +52,12 @@ def main(setup: SafetyMonitorSetup) -> None:
             if time.monotonic() - said_s > REPORT_INTERVAL_S:
                 said_s = time.monotonic()
                 granted.priority.renew()
-                life.publisher.send_multipart(bus.pack_notice("guarding", realtime=str(granted)))
+                life.publisher.send_multipart(bus.pack_notice(Monitoring(str(granted))))
             if blocks.poll(POLL_INTERVAL_MS):
                 parts = blocks.recv_multipart()
                 if parts[0] == bus.SAMPLES_TOPIC:
                     in_run, silent = bus.unpack_safety(parts) in RUN_STATES, 0
-                elif bus.unpack_notice(parts)["kind"] == "run_ended":
+                elif isinstance(bus.unpack_notice(parts), RunEnded):
                     in_run = False
             elif in_run:
                 silent += 1
@@ -70,12 +71,12 @@ def _reset_to_zero(tool: Tool, publisher: zmq.Socket) -> bool:
     try:
         reset_device(tool)
     except ToolError as error:
-        publisher.send_multipart(bus.pack_notice("not_zeroed", text=str(error)))
+        publisher.send_multipart(bus.pack_notice(MotorNotZeroed(str(error))))
         return False
     took_ms = (time.monotonic() - begin_s) * 1e3
     silent_ms = RESET_AFTER_SILENCE_S * 1e3
     text = (
         f"The acquisition was silent for {silent_ms:.0f} ms: the motor is at zero by a reset that took {took_ms:.0f} ms"
     )
-    publisher.send_multipart(bus.pack_notice("zeroed", text=text))
+    publisher.send_multipart(bus.pack_notice(MotorZeroed(text)))
     return True

@@ -76,7 +76,15 @@ class TaskState(Enum):
     OVERRUN = auto()
 
 
-Sample = tuple[float, float, float, float, float]  # strain, readback, touch 1, touch 2 in V; encoder in deg
+# strain, readback, touch 1, touch 2 in V; encoder in deg; an input that nothing is connected to
+Sample = tuple[float, float, float, float, float, float]
+UNWIRED_COLUMN, UNWIRED_VALUE = 5, 0.0
+
+# A PCI-6230 has these channels, and makes its sample clock by dividing this timebase.
+ANALOG_INPUTS = tuple(f"ai{n}" for n in range(8))
+ANALOG_OUTPUTS = tuple(f"ao{n}" for n in range(4))
+COUNTERS = ("ctr0", "ctr1")
+TIMEBASE_HZ = 20e6
 
 
 class OutputChange(NamedTuple):
@@ -100,6 +108,7 @@ class Task:
     arm_trigger: str = ""
     degrees_per_count: float = 0.0
     output_range_v: tuple[float, float] = (0.0, 0.0)
+    drives_motor: bool = False
     state: TaskState = TaskState.STOPPED
     clocked: bool = False
     unread_samples: deque[Sample] = field(default_factory=deque)
@@ -108,11 +117,13 @@ class Task:
 class SimulatedBoard:
     """State of the board, safe to call from several threads. Every method raises BoardError as DAQmx would.
 
+    It has the channels of a PCI-6230. The plant is wired to those that the tool names; the others are not connected.
+
     The plant advances in steps of the sample clock, and only while the clock runs.
     """
 
     def __init__(self, tool: Tool, plant: Plant, clock: Clock | None = None, buffer_samples: int = 10_000) -> None:
-        """`buffer_samples` defaults to the buffer of DAQmx at 1 kHz, 10 s."""
+        """`tool` says how the plant is wired; `buffer_samples` defaults to the buffer of DAQmx at 1 kHz, 10 s."""
         self.clock: Clock = clock or RealClock()
         self._plant = plant
         self._compute_readback_v = plant.readback_v if isinstance(plant, PlantWithReadback) else float
@@ -121,14 +132,13 @@ class SimulatedBoard:
         self._encoder_resolution_deg = tool.calibration.encoder_resolution_deg
         wired = tool.channels
         self._channels = {
-            ChannelKind.ANALOG_IN: (
-                wired.strain,
-                wired.motor_command_readback,
-                *wired.touch,
-            ),  # in the order of a Sample
-            ChannelKind.ENCODER: (wired.encoder,),
-            ChannelKind.ANALOG_OUT: (wired.motor_command,),
+            ChannelKind.ANALOG_IN: ANALOG_INPUTS,
+            ChannelKind.ENCODER: COUNTERS,
+            ChannelKind.ANALOG_OUT: ANALOG_OUTPUTS,
         }
+        inputs = (wired.strain, wired.motor_command_readback, *wired.touch, wired.encoder)  # in the order of a Sample
+        self._columns = {name: column for column, name in enumerate(inputs)}
+        self._motor_channel = wired.motor_command
         self._analog_clock = f"/{self._device}/ai/SampleClock"
         self._analog_start = f"/{self._device}/ai/StartTrigger"
         self._lock = threading.RLock()
@@ -175,7 +185,8 @@ class SimulatedBoard:
         task = self.task(name)
         task.kind = kind
         task.channels.append(physical)
-        task.column_indices.append(self._channels[kind].index(channel))
+        task.column_indices.append(self._columns.get(channel, UNWIRED_COLUMN))
+        task.drives_motor = channel == self._motor_channel
         return task
 
     def channel_names(self, kind: ChannelKind) -> tuple[str, ...]:
@@ -184,7 +195,16 @@ class SimulatedBoard:
 
     def check_device(self, device: str) -> None:
         if device != self._device:
-            raise BoardError(DAQmxErrors.INVALID_DEVICE_ID, f"Device identifier is invalid: {device}")
+            raise BoardError(
+                DAQmxErrors.INVALID_DEVICE_ID,
+                f"Device identifier is invalid: {device}; the board here is {self._device}",
+            )
+
+    def set_sample_clock(self, name: str, rate_hz: float, source: str) -> None:
+        """Set a task's sample clock; a rate that the timebase cannot be divided to becomes the nearest one."""
+        task = self.task(name)
+        divisor = max(round(TIMEBASE_HZ / rate_hz), 1)
+        task.rate_hz, task.clock_source = TIMEBASE_HZ / divisor, source
 
     def start_task(self, name: str) -> None:
         with self._lock:
@@ -275,7 +295,8 @@ class SimulatedBoard:
             if not low_v <= volts <= high_v:
                 raise BoardError(DAQmxErrors.INVALID_AO_DATA_WRITE, f"{volts} V is outside {low_v} to {high_v} V.")
             self._simulate_until_now()  # the old value held until now
-            self._set_output(volts)
+            if task.drives_motor:
+                self._set_output(volts)
 
     def read_analog(self, name: str, count: int, timeout_s: float) -> tuple[list[float], int]:
         """Return up to `count` samples per channel, channel after channel, and their number; fewer after a time-out."""
@@ -294,7 +315,8 @@ class SimulatedBoard:
         """Return up to `count` samples in degrees, by the task's own scale of the counts, and their number."""
         samples = self._read(name, count, timeout_s)
         scale, resolution_deg = self.task(name).degrees_per_count, self._encoder_resolution_deg
-        return [round(sample[4] / resolution_deg) * scale for sample in samples], len(samples)
+        [column] = self.task(name).column_indices
+        return [round(sample[column] / resolution_deg) * scale for sample in samples], len(samples)
 
     def _read(self, name: str, count: int, timeout_s: float) -> list[Sample]:
         with self._lock:
@@ -361,7 +383,7 @@ class SimulatedBoard:
         readback_v = self._compute_readback_v(command_v)
         for _ in range(min(due, self._buffer_samples + 1)):  # samples after an overrun cannot be read
             strain_v, encoder_deg, touch_1_v, touch_2_v = step(command_v)
-            sample = (strain_v, readback_v, touch_1_v, touch_2_v, encoder_deg)
+            sample = (strain_v, readback_v, touch_1_v, touch_2_v, encoder_deg, UNWIRED_VALUE)
             for queue in queues:
                 queue.append(sample)
         for task in clocked:

@@ -134,9 +134,16 @@ class BoardService(NiDAQmxServicer):
 
     @_convert_board_errors
     def CfgSampClkTiming(self, request: pb.CfgSampClkTimingRequest) -> pb.CfgSampClkTimingResponse:
-        task = self._board.task(request.task.name)
-        task.rate_hz, task.clock_source = request.rate, request.source
+        self._board.set_sample_clock(request.task.name, request.rate, request.source)
         return pb.CfgSampClkTimingResponse()
+
+    @_convert_board_errors
+    def GetTimingAttributeDouble(
+        self, request: pb.GetTimingAttributeDoubleRequest
+    ) -> pb.GetTimingAttributeDoubleResponse:
+        return pb.GetTimingAttributeDoubleResponse(
+            value=self._board.task(request.task.name).rate_hz
+        )  # the driver asks for no other attribute
 
     @_convert_board_errors
     def SetTrigAttributeInt32(self, request: pb.SetTrigAttributeInt32Request) -> pb.SetTrigAttributeInt32Response:

@@ -12,7 +12,7 @@ from acquisition.bench.checks import RawSignals
 from acquisition.bench.fits import CalibrationFit, LoadingPass
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
-from app.messages.wire import (
+from app.messages.calibration import (
     Calibration,
     CalibrationKind,
     CalibrationReading,

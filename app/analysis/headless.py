@@ -2,17 +2,18 @@
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from acquisition.acquisition_loop import AcquisitionController, EndedRun, RunOutcome, describe_release
+from acquisition.acquisition_loop import AcquisitionController, describe_release
+from acquisition.notices import RunEnded, RunOutcome
 from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.recording import RecordingSource
 from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety_state_machine import Safety
 from acquisition.tool_factory import open_tool
-from app.messages.wire import RunState
+from app.messages.runs import RunState
 from app.recordings.estimate_comparison import EstimateComparator, EstimateComparison
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
 from app.recordings.mcap_writer import RecordingContext
@@ -47,7 +48,7 @@ class RunSummary:
             "duration_s": (self.samples + self.lost_samples) / self.rate_hz,
             "library": self.library,
             "force_scale": self.force_scale,
-            "grasps": [asdict(grasp) for grasp in self.grasps],
+            "grasps": [grasp.model_dump() for grasp in self.grasps],
         }
         if self.releases:
             document["let_go"] = self.releases
@@ -90,7 +91,7 @@ def run_protocol(
         limiter = ForceLimiter(tool, library, settings.limiter)
         acquisition = AcquisitionController(source, tool, settings.conditioning, limiter, Safety.ARMED)
         acquisition.start(run_id, protocol, cycles)
-        ended: list[EndedRun] = []
+        ended: list[RunEnded] = []
         while not ended:
             block = acquisition.process_block()
             assert block is not None, "a tool's samples have no end"

@@ -12,7 +12,8 @@ from typing import Self
 
 from app.host.atomic_write import write_atomically
 from app.host.background_process import SendMessage, run_in_background_process
-from app.messages.wire import StudyRun, StudyState
+from app.messages.stored import read_stored
+from app.messages.studies import StudyRun, StudyState
 from config.errors import RefusedError, ServiceError
 from estimator.studies.catalog import STUDIES, StudyDefinition
 
@@ -160,7 +161,7 @@ def _read_records(folder: Path) -> dict[str, StudyRun]:
         if not path.is_dir():
             continue
         try:
-            run = StudyRun.model_validate_json((path / RECORD_FILE).read_text(encoding="utf-8"))
+            run = read_stored(StudyRun, (path / RECORD_FILE).read_bytes())
         except (OSError, ValueError) as error:
             why = error.strerror if isinstance(error, OSError) else "it is damaged, or another version's"
             logger.warning("The study in %s is left out: its %s cannot be read (%s)", path, RECORD_FILE, why)

@@ -8,7 +8,9 @@ from pathlib import Path
 from app.analysis.report.report_cache import ReportCache
 from app.host.bin_folder import BinFolder, BinnedFile, find_expired, format_iso
 from app.index.queries import FileQuery
-from app.messages.wire import BinContent, BinnedRecording, Emptied, FileRecord, JournalKind
+from app.messages.journal import JournalKind
+from app.messages.recordings import BinContent, BinnedRecording, Emptied, FileRecord
+from app.recordings.index_reader import describe_file
 from app.recordings.replay.cache_store import ReplayCacheStore
 from app.service.tool_service import ToolService
 from config.errors import GraspwatchError, ServiceError
@@ -115,7 +117,7 @@ class RecordingBin:
             except OSError as error:
                 raise ServiceError(f"{file.name} could not be restored: {error.strerror}.") from None
             same = known is not None and known.deleted_at == file.deleted_at_iso
-            record = known if known and same else await asyncio.to_thread(_stat_file_record, path)
+            record = known if known and same else await asyncio.to_thread(describe_file, path)
             record = record.model_copy(update={"deleted_at": None, "deleted_by": None})
             text = f"Recording {file.name} restored"
             self._tool_service.journal.write(JournalKind.RESTORED, text, by=by, file=record)
@@ -170,20 +172,4 @@ class RecordingBin:
         """Return the index's record of a recording, or one from the disk if the index has no current record."""
         index = self._tool_service.index_writer
         known = await index.query(index.store.get_file, path.name)
-        return known if known and not known.deleted_at else await asyncio.to_thread(_stat_file_record, path)
-
-
-def _stat_file_record(path: Path) -> FileRecord:
-    found = path.lstat()
-    return FileRecord(
-        name=path.name,
-        run_id=None,
-        size_bytes=found.st_size,
-        made_at=datetime.fromtimestamp(found.st_mtime, UTC).isoformat(timespec="milliseconds"),
-        duration_s=None,
-        samples=None,
-        lost_samples=None,
-        format_version=None,
-        condition=None,
-        problem=None,
-    )
+        return known if known and not known.deleted_at else await asyncio.to_thread(describe_file, path)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from app.audit.hash_chain import NEW_LINE, ChainLink, parse_link, sha256_hex
 from app.audit.journal_file import find_journals, read_journal_lines
-from app.messages.wire import JournalCheck
+from app.messages.journal import JournalCheck
 
 
 @dataclass(frozen=True, slots=True)

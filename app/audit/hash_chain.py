@@ -8,7 +8,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 
-from app.messages.wire import JournalEntry
+from app.messages.journal import JournalEntry
 
 NEW_LINE = b"\n"
 _HASH_SUFFIX = b',"hash":"%s"}'

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app.audit.journal_file import JournalFile
-from app.messages.wire import JournalEntry, JournalKind, Result
+from app.messages.journal import JournalEntry, JournalKind, Result
 
 MAX_ENTRIES_IN_MEMORY = 2_000
 logger = logging.getLogger("graspwatch")

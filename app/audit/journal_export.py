@@ -8,10 +8,9 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from app.audit.journal_file import find_journals, read_journal_lines
-from app.messages.wire import JournalEntry
+from app.messages.journal import JournalEntry
+from app.messages.stored import read_stored
 
 CSV_COLUMNS = (
     "number",
@@ -67,9 +66,9 @@ def export_lines(data: Path, journal_filter: JournalFilter, journal_format: Jour
     for path in find_journals(data):
         for line in read_journal_lines(path):
             try:
-                entry = JournalEntry.model_validate_json(line)
+                entry = read_stored(JournalEntry, line)
                 taken = journal_filter.matches(entry)
-            except (ValidationError, ValueError):
+            except ValueError:
                 continue
             if taken:
                 yield (

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from app.audit.hash_chain import NEW_LINE, ChainLink, parse_link, seal_entry, sha256_hex
-from app.messages.wire import JournalEntry, JournalKind
+from app.messages.journal import JournalEntry, JournalKind
 from config.errors import JournalError
 
 MAX_LINE_BYTES = 2**20  # a line has a few thousand

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from app.audit.chain_check import ChainCheckpoint, check_journal
 from app.audit.journal_export import JournalFilter, JournalFormat
 from app.audit.journal_export import export_lines as lines
+from app.cli.console import create_console
 from app.cli.options import ConfigOption, DataOption, JsonOption, ProgressBar, prepare_data_folder
-from app.messages.wire import JournalCheck, JournalEntry
+from app.messages.journal import JournalCheck, JournalEntry
 from config.errors import ConfigurationError, GraspwatchError, JournalError
 from config.load import load_settings
 from config.schema import Settings
@@ -48,9 +48,9 @@ def verify(config: ConfigOption = None, data: DataOption = None, as_json: JsonOp
 
 
 def _print_result(found: JournalCheck) -> None:
-    console = Console()
+    console = create_console()
     for note in found.notes:
-        console.print(f"Note: {note}.", markup=False, soft_wrap=True)
+        console.print(f"Note: {note}.", soft_wrap=True)
     if found.whole and found.newest:
         console.print(f"The journal is whole: {found.lines} lines. The newest, {found.newest}, has the hash", end=" ")
         console.print(found.newest_hash, soft_wrap=True)

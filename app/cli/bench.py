@@ -7,10 +7,10 @@ from dataclasses import asdict
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from app.cli.options import ConfigOption, JsonOption, ToolOption, error_console
+from app.cli.console import create_console, error_console
+from app.cli.options import ConfigOption, JsonOption, ToolOption
 from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
 from config.schema import RealtimeSettings, ToolKind
@@ -59,7 +59,7 @@ def bench(
     table = Table("machine", "asked for", "median", "99 %", "99.9 %", "longest", title="Lateness of a block, ms")
     for each in found:
         table.add_row(each["machine"], each["asked for"], *(f"{value:.2f}" for value in each["late_ms"].values()))
-    console = Console(highlight=False)
+    console = create_console()
     console.print(table)
     for each in found:
         if each["ended"]:

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
-from rich.console import Console
-from rich.markup import escape
 
-from app.cli.options import DEFAULT_RECORDING_TOOL, ConfigOption, JsonOption, ToolOption, error_console
+from app.cli.console import create_console, error_console
+from app.cli.options import DEFAULT_RECORDING_TOOL, ConfigOption, JsonOption, ToolOption
 from config.errors import CalibrationError, ConfigurationError, ToolError
 from config.load import find_tool_file, load_settings, load_tool
 from config.schema import Tool, ToolKind
@@ -79,7 +78,7 @@ class _CommandLineCalibration:
         return open_calibration_bench(self.tool, partial(hold_realtime_priority, REALTIME_PRIORITY))
 
     def print_message(self, text: str) -> None:
-        error_console.print(escape(text), soft_wrap=True)
+        error_console.print(text, soft_wrap=True)
 
     def confirm(self, question: str) -> None:
         """Ask the person at the terminal unless `--yes` was given; raises `CalibrationError` if they decline."""
@@ -94,7 +93,7 @@ class _CommandLineCalibration:
             except (CalibrationError, ToolError) as error:
                 if self._assume_yes:
                     raise
-                error_console.print(f"[red]{escape(str(error))}[/]", soft_wrap=True)
+                error_console.print(str(error), style="red", soft_wrap=True)
                 if not typer.confirm("Read it again?", default=True, err=True):
                     raise
 
@@ -131,11 +130,11 @@ class _CommandLineCalibration:
             constants = [asdict(each) | {"was": read_current_value(each, self.tool)} for each in found.constants]
             print(json.dumps({"file": str(path), "plot": str(plot), "constants": constants}, indent=2))
             return
-        console = Console(highlight=False)
+        console = create_console()
         for each in found.constants:
             console.print(self._format_constant(each), soft_wrap=True)
         for remark in found.remarks:
-            console.print(f"[yellow]{escape(remark)}[/]", soft_wrap=True)
+            console.print(remark, style="yellow", soft_wrap=True)
         console.print(f"Written: {path}, its plot: {plot}. Use it with --tool {path}", soft_wrap=True)
 
     def _format_constant(self, constant: "FittedConstant") -> str:
@@ -144,7 +143,7 @@ class _CommandLineCalibration:
         unit, old = constant.unit, read_current_value(constant, self.tool)
         was = f"was {old:.5g}" if old is not None else "was not given"
         return (
-            f"[bold]{constant.key}[/] {constant.value:.5g} {unit} (95 %: {constant.low:.5g} to {constant.high:.5g}), "
+            f"{constant.key} {constant.value:.5g} {unit} (95 %: {constant.low:.5g} to {constant.high:.5g}), "
             f"{was}; residual {constant.residual:.2g} {constant.residual_unit}, {constant.readings} readings"
         )
 

@@ -5,10 +5,10 @@ from dataclasses import asdict
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
-from app.cli.options import ConfigOption, JsonOption, ToolOption, error_console
+from app.cli.console import create_console, error_console
+from app.cli.options import ConfigOption, JsonOption, ToolOption
 from config.errors import ConfigurationError, ToolError
 from config.load import load_library, load_settings, load_tool
 from config.schema import ToolKind
@@ -44,7 +44,7 @@ def check(
         return typer.confirm(EMPTY_JAWS_QUESTION, err=True) if is_asked else bool(move)
 
     reading = hold_realtime_priority(REALTIME_PRIORITY)  # as in the worker
-    console, findings = Console(highlight=False), []
+    console, findings = create_console(), []
     for finding in open_hardware_check(chosen, load_library(settings.library), reading).run_checks(may_move):
         findings.append(finding)
         if not as_json and finding.outcome is not CheckOutcome.NOT_DONE:
@@ -63,5 +63,5 @@ def check(
         console.print(f"{chosen.title}: all is well" + (f"; {len(not_done)} checks not done." if not_done else "."))
 
 
-def _format_finding(outcome: str, check: str, text: str) -> str:
-    return f"[{OUTCOME_STYLES[outcome]}]{outcome:<8}[/] {check}: {escape(text)}"
+def _format_finding(outcome: str, check: str, text: str) -> Text:
+    return Text.assemble((f"{outcome:<8}", OUTCOME_STYLES[outcome]), f" {check}: {text}")

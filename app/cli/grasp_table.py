@@ -3,8 +3,9 @@
 import json
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
+
+from app.cli.console import create_console
 
 VERDICT_REMARKS = {"unknown": "fits no tissue of the library"}
 
@@ -14,7 +15,7 @@ def print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         print(json.dumps(documents[0] if len(documents) == 1 else documents, indent=2, allow_nan=False))
         return
-    console = Console()
+    console = create_console()
     for document in documents:
         console.print(_build_table(document))
 

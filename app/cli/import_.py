@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from acquisition.recordings.file_names import to_printable
+from app.cli.console import print_error, print_note
 from app.cli.journaled import journal_local_command
 from app.cli.options import (
     DEFAULT_RECORDING_TOOL,
@@ -14,7 +16,9 @@ from app.cli.options import (
     ProgressBar,
     prepare_data_folder,
 )
+from config.errors import ConfigurationError, GraspwatchError
 from config.load import load_library, load_settings, load_tool
+from config.tissue_names import normalize_tissue_name
 
 
 def import_(
@@ -23,24 +27,47 @@ def import_(
         str, typer.Option(metavar="NAME|FILE", help="Tool file that names the channels and their calibration.")
     ] = DEFAULT_RECORDING_TOOL,
     tissue: Annotated[str | None, typer.Option(help="What was held, if it is known.")] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name of the recording, with one FILE; default: the file's, without its ending.")
+    ] = None,
     library: LibraryOption = None,
     config: ConfigOption = None,
     data: DataOption = None,
 ) -> None:
     """Take LabVIEW logs into the data folder, as recordings like any other.
 
+    A file that cannot be imported leaves nothing behind, and the others are imported.
+
     Example: graspwatch import liver4Hz1.lvm.gz --tissue liver
     """
+    if name and len(files) > 1:
+        raise ConfigurationError("--name is for one file. Import each file by itself, or leave --name out.")
     settings = load_settings(config)
     profiles, rig_tool = load_library(library or settings.library), load_tool(tool)
+    held = normalize_tissue_name(tissue, "--tissue") if tissue else None
     folder = prepare_data_folder(data, settings) / "recordings"
 
     # A slow import, made after the options are checked.
     from app.recordings.exchange.labview_import import import_labview
     from app.recordings.mcap_writer import RecordingContext
 
+    context, failed = RecordingContext(rig_tool, profiles, settings), {}
     for path in files:
         noted = journal_local_command(folder.parent, "import", f"Import {path.name}")
-        with noted, ProgressBar(path.name, 1.0) as progress:
-            written = import_labview(path, folder, RecordingContext(rig_tool, profiles, settings), tissue, progress)
-        print(written)
+        try:
+            with noted, ProgressBar(to_printable(path.name), 1.0) as progress:
+                imported = import_labview(path, folder, context, held, progress, name)
+        except GraspwatchError as error:
+            if len(files) == 1:
+                raise
+            failed[path] = error
+            print_error(str(error))
+            continue
+        for remark in imported.remarks:
+            print_note(f"{path}: {remark}.")
+        print(imported.path)
+    if failed:
+        names = ", ".join(map(str, failed))
+        raise next(iter(failed.values())).__class__(
+            f"{len(failed)} of {len(files)} files were not imported: {names}. The message of each says why."
+        )

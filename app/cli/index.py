@@ -4,7 +4,8 @@ from typing import Annotated
 
 import typer
 
-from app.cli.options import ConfigOption, DataOption, JsonOption, ProgressBar, error_console, prepare_data_folder
+from app.cli.console import error_console
+from app.cli.options import ConfigOption, DataOption, JsonOption, ProgressBar, prepare_data_folder
 from config.errors import ConfigurationError
 from config.load import load_settings
 

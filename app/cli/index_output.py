@@ -11,12 +11,13 @@ from rich.table import Table
 from sqlalchemy import URL
 from sqlalchemy.exc import DBAPIError
 
+from app.cli.console import create_console
 from app.cli.journaled import journal_local_command
 from app.index.database_errors import REBUILD_COMMAND
 from app.index.rebuild import rebuild
 from app.index.status import IndexStatus, read_status
 from app.index.store import Store
-from app.messages.wire import JournalEntry
+from app.messages.journal import JournalEntry
 from app.recordings.index_reader import RECORDING_READERS
 from config.errors import GraspwatchError
 
@@ -33,7 +34,7 @@ def print_status(url: URL, data: Path, as_json: bool) -> None:
         table.add_row(name, str(count))
     table.add_row("revision", _format_revision(found))
     table.add_row("lacks", "\n".join([*found.behind, f"Run `{REBUILD_COMMAND}`."]) if found.behind else "nothing")
-    Console().print(table)
+    create_console().print(table)
 
 
 def _format_revision(found: IndexStatus) -> str:
@@ -61,9 +62,9 @@ def rebuild_and_report(url: URL, data: Path, error_console: Console, progress: C
         with contextlib.suppress(GraspwatchError, DBAPIError), contextlib.closing(Store(url)) as store:
             store.ingest_all((line, None) for line in lines)  # if this fails, the next service adds them
     for problem in rebuilt.problems:
-        error_console.print(f"Left out in part: {problem}", markup=False, soft_wrap=True)
+        error_console.print(f"Left out in part: {problem}", soft_wrap=True)
     if rebuilt.broken_lines:
         error_console.print(f"The journal has {rebuilt.broken_lines} broken lines; they were left out.", soft_wrap=True)
     if rebuilt.backup_path:
-        error_console.print(f"The old index is set aside: {rebuilt.backup_path}", markup=False, soft_wrap=True)
+        error_console.print(f"The old index is set aside: {rebuilt.backup_path}", soft_wrap=True)
     print(f"Index rebuilt from {rebuilt.recordings} recordings and {rebuilt.lines} lines of the journal.")

@@ -6,9 +6,10 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from acquisition.recordings.file_names import to_printable
 from app.audit.journal import Journal
-from app.cli.options import error_console
-from app.messages.wire import JournalEntry, Result
+from app.cli.console import error_console
+from app.messages.journal import JournalEntry, Result
 from config.errors import GraspwatchError
 
 
@@ -17,13 +18,13 @@ def journal_local_command(
     data: Path, action: str, description: str, on_entry: Callable[[JournalEntry], object] = lambda _: None
 ) -> Iterator[None]:
     """Write a journal entry for the block inside, done or failed with `GraspwatchError`."""
-    journal = Journal(data, _print_warning, on_entry)
+    journal, description = Journal(data, _print_warning, on_entry), to_printable(description)
     client = f"this machine: graspwatch {action}"
     try:
         yield
     except GraspwatchError as error:
         journal.write_request(
-            action, description, client=client, result=Result.FAILED, by=_user_name(), reason=str(error)
+            action, description, client=client, result=Result.FAILED, by=_user_name(), reason=to_printable(str(error))
         )
         raise
     journal.write_request(action, description, client=client, result=Result.DONE, by=_user_name())
@@ -38,4 +39,4 @@ def _user_name() -> str:
 
 def _print_warning(fault: str | None) -> None:
     if fault:
-        error_console.print(f"Not noted: {fault}.", markup=False, soft_wrap=True)
+        error_console.print(f"Not noted: {fault}.", soft_wrap=True)

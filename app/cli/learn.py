@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from app.cli.label_option import parse_labels
-from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, error_console, write_output
+from app.cli.console import create_console, print_note
+from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels
+from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, write_output
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary, Tool
+from config.tissue_names import check_tissue_names
 
 if TYPE_CHECKING:
     from app.analysis.learning.training_set import TrainingSet
@@ -23,15 +24,7 @@ READING_SHARE = 0.3  # of the time that learning takes
 
 
 def learn(
-    label: Annotated[
-        list[str],
-        typer.Option(
-            "--label",
-            metavar="TISSUE=FILE...",
-            help="Recordings of a tissue; repeat it for each tissue. Files may follow one another, be separated by "
-            "commas, or be a pattern.",
-        ),
-    ],
+    label: Annotated[list[str], typer.Option("--label", metavar=LABEL_METAVAR, help=LABEL_HELP)],
     out: Annotated[
         Path, typer.Option("--out", metavar="FILE.toml", help="The library to write; a report goes beside it.")
     ],
@@ -63,6 +56,7 @@ def learn(
     from app.analysis.learning.library_file import check_writable, library_to_toml
 
     files, settings = parse_labels(label), load_settings(config)
+    check_tissue_names(files, "--label")
     context, like = load_tool(tool) if tool else _find_recording_tool(files), load_library(base)
     page, data = (out.with_name(f"{out.stem}-report.{kind}") for kind in ("html", "json"))
     check_writable(out)
@@ -125,11 +119,11 @@ def _print_result(
     as_json: bool,
 ) -> None:
     for remark in [*training_set.remarks, *_missing_threshold_warnings(library)]:
-        error_console.print(f"[yellow]Note:[/] {remark}", soft_wrap=True)
+        print_note(remark)
     if as_json:
         print(json.dumps(_build_document(study, library, out), indent=2, allow_nan=False))
         return
-    console = Console()
+    console = create_console()
     tissues = Table("Tissue", "Recordings", "Grasps", "alpha", "beta", "d", "Threshold", title=library.title)
     for name, profile in library.tissues.items():
         learned = profile.learned
@@ -148,7 +142,7 @@ def _print_result(
     for figure in study.figures:
         figures.add_row(figure.name, "–" if figure.value is None else f"{figure.value:.3g} {figure.unit}".rstrip())
     console.print(figures)
-    console.print(f"Library: {out}\nReport: {page}\nFigures: {data}", soft_wrap=True, highlight=False)
+    console.print(f"Library: {out}\nReport: {page}\nFigures: {data}", soft_wrap=True)
 
 
 def _missing_threshold_warnings(library: TissueLibrary) -> list[str]:

@@ -3,7 +3,6 @@
 import sys
 from typing import Annotated
 
-import rich.markup
 import typer
 
 from app import __version__
@@ -11,12 +10,12 @@ from app.cli import audit, calibrate, study
 from app.cli import token as people
 from app.cli.bench import bench
 from app.cli.check import check
+from app.cli.console import accept_any_name, print_error
 from app.cli.export import export
 from app.cli.import_ import import_
 from app.cli.index import index
-from app.cli.label_option import LearnCommand
+from app.cli.label_option import LabelCommand, LearnCommand
 from app.cli.learn import learn
-from app.cli.options import error_console
 from app.cli.replay import replay
 from app.cli.report import report
 from app.cli.run import run
@@ -39,8 +38,9 @@ app.add_typer(audit.app, name="audit")
 app.add_typer(people.app, name="token")
 app.add_typer(calibrate.app, name="calibrate")
 app.command("import")(import_)
-for command in (export, report, check, bench, support):
+for command in (export, check, bench, support):
     app.command()(command)
+app.command(cls=LabelCommand)(report)
 app.command(cls=LearnCommand)(learn)
 for command in (serve, run, replay, index):
     app.command()(command)
@@ -57,10 +57,11 @@ def version(
 
 def main() -> None:
     """Run the command line; print an expected error as one message, and exit with its code."""
+    accept_any_name()
     try:
         app()
     except GraspwatchError as error:
-        error_console.print("[bold red]Error:[/]", rich.markup.escape(str(error)), soft_wrap=True)
+        print_error(str(error))
         sys.exit(error.exit_code)
     except BrokenPipeError:
         sys.exit(0)

@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from acquisition.recordings.file_names import has_recording_suffix
+from app.cli.console import error_console
 from app.host.atomic_write import write_atomically
 from config.errors import ConfigurationError, RecordingError
 from config.load import load_settings
 from config.schema import Settings
-
-error_console = Console(stderr=True, highlight=False)
 
 LibraryOption = Annotated[
     str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
@@ -65,9 +64,9 @@ def find_recording_file(run: str, config: Path | None, data: Path | None) -> Pat
         RecordingError: there is no such recording.
     """
     named = Path(run)
-    if named.suffix == ".mcap" or named.exists():
+    if named.suffix.lower() == ".mcap" or named.exists():
         return named
-    if run.endswith((".lvm", ".lvm.gz")):
+    if has_recording_suffix(run):
         raise RecordingError(f"{run}: there is no such file. Check the path.")
     folder = prepare_data_folder(data, load_settings(config)) / "recordings"
     path = folder / f"{run}.mcap"
@@ -94,7 +93,12 @@ class ProgressBar:
     """A progress bar on the error output, if that is a terminal; call it with the amount done."""
 
     def __init__(self, title: str, total: float) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
         self._bar = Progress(*columns, console=error_console, transient=True, disable=not error_console.is_terminal)
         self._task = self._bar.add_task(title, total=total)
         self._due_s = 0.0

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from app.cli.console import error_console, print_note
 from app.cli.grasp_table import print_reports
 from app.cli.options import (
     DEFAULT_RECORDING_TOOL,
@@ -15,7 +16,6 @@ from app.cli.options import (
     ProgressBar,
     TlsCertOption,
     TlsKeyOption,
-    error_console,
     prepare_data_folder,
 )
 from app.cli.server import apply_tls_options, start_server
@@ -87,6 +87,8 @@ def replay(
             if recording.mcap_file is None:
                 raise ConfigurationError(f"{path}: LabVIEW's files hold no library. Leave --as-recorded out.")
             how = RecordingContext.from_recording(recording.mcap_file)
+        for remark in recording.remarks:
+            print_note(f"{path}: {remark}.")
         with ProgressBar(path.name, 1.0) as progress:
             report = replay_recording(recording, how, progress)
         documents.append(report.document())

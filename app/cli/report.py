@@ -1,26 +1,26 @@
 """`graspwatch report`: a page and a JSON about recordings and their tissues."""
 
 import difflib
+import itertools
 import json
 import os
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
+from acquisition.recordings.file_names import RECORDING_SUFFIXES, remove_recording_suffix, to_printable
+from app.cli.console import create_console
+from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels_of
 from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, write_output
 from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary
-from estimator.decision import UNDECIDED
 
 if TYPE_CHECKING:
     from app.analysis.report.report import Report
 
-TISSUE_NAME_PATTERN = re.compile(r"[a-z0-9][a-z0-9_]*")
 # An earlier report, which may be overwritten, has its marker in its first bytes.
 PAGE_MARKER, DATA_MARKER = ('<meta name="generator" content="Graspwatch report">', '"report": "Report: ')
 MARKER_SEARCH_BYTES = 1000
@@ -28,16 +28,16 @@ MARKER_SEARCH_BYTES = 1000
 
 def report(
     recordings: Annotated[
-        list[str],
-        typer.Argument(metavar="RUN|FILE", help="Recordings (.mcap, .lvm, .lvm.gz), or runs of the data folder."),
-    ],
+        list[str] | None,
+        typer.Argument(metavar="RUN|FILE...", help="Recordings (.mcap, .lvm, .lvm.gz), or runs of the data folder."),
+    ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The page; default: report.html or report-NAME.html here.")
+        Path | None, typer.Option(metavar="FILE", help="The page; default: a new report.html or report-NAME.html here.")
     ] = None,
     label: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="TISSUE=FILE,…", help="What was held in these recordings; else their own word, or verdicts."
+            metavar=LABEL_METAVAR, help=f"{LABEL_HELP} Without a label, a recording's own word or the verdicts count."
         ),
     ] = None,
     library: Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Tissue library: a name or a file.")] = None,
@@ -59,12 +59,14 @@ def report(
     settings = load_settings(config)
     profiles, context = load_library(library or settings.library), load_tool(tool)
     folder = (data or Path(settings.data_folder)) / "recordings"
-    files = [_find_recording(name, folder) for name in recordings]
+    files = [_find_recording(name, folder) for name in recordings or []]
     if len(set(files)) < len(files):
         twice = next(path for path in files if files.count(path) > 1)
         raise ConfigurationError(f"{twice} is named twice. Name each recording once.")
-    labels = _parse_labels(label or [], files, profiles)
-    page_path = out or Path("report.html" if len(files) > 1 else f"report-{files[0].name.partition('.')[0]}.html")
+    labels = _assign_labels(label or [], files, profiles)
+    if not files:
+        raise ConfigurationError("Name at least one recording, before the options or in a --label.")
+    page_path = out or _choose_page_path(files)
     data_path = page_path.with_suffix(".json")
     _check_output_paths(page_path, data_path)
 
@@ -94,8 +96,6 @@ def _find_recording(name: str, folder: Path) -> Path:
     Raises:
         ConfigurationError: there is no such file or recording.
     """
-    from app.recordings.catalog import RECORDING_SUFFIXES  # a slow import
-
     places = [Path(name), *(folder / f"{name}{ending}" for ending in ("", *RECORDING_SUFFIXES))]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
@@ -103,38 +103,37 @@ def _find_recording(name: str, folder: Path) -> Path:
     return path
 
 
-def _parse_labels(labels: list[str], files: list[Path], library: TissueLibrary) -> dict[Path, str]:
-    """Return the tissue that was held, by file.
+def _assign_labels(labels: list[str], files: list[Path], library: TissueLibrary) -> dict[Path, str]:
+    """Return the tissue that was held, by file; add files that only a label names to `files`.
 
     Raises:
         ConfigurationError: a label is malformed, or does not name exactly one unlabeled recording of the report.
     """
     held: dict[Path, str] = {}
-    for one in labels:
-        tissue, equals, names = one.partition("=")
-        if not equals or not names:
-            raise ConfigurationError(f"--label {one}: expected TISSUE=FILE, or TISSUE=FILE,FILE.")
-        _check_tissue(tissue, library)
-        for name in names.split(","):
-            named = [path for path in files if name in (str(path), path.name, path.name.partition(".")[0])]
-            if not named:
-                raise ConfigurationError(f"--label {one}: {name!r} is none of the recordings of this report.")
-            if len(named) > 1:
-                raise ConfigurationError(f"--label {one}: {name!r} is {len(named)} of the recordings. Give its path.")
-            if named[0] in held:
-                raise ConfigurationError(f"--label {one}: {name!r} has a label already.")
-            held[named[0]] = tissue
+    for tissue, named in parse_labels_of(labels, files):
+        _check_spelling(tissue, library)
+        for path in named:
+            if path in held:
+                raise ConfigurationError(f"--label {tissue}: {path} has a label already, {held[path]}.")
+            held[path] = tissue
+    files += [path for path in held if path not in files]
     return held
 
 
-def _check_tissue(tissue: str, library: TissueLibrary) -> None:
+def _check_spelling(tissue: str, library: TissueLibrary) -> None:
     """Accept a tissue that is not in the library, but not a misspelling of one that is."""
     if tissue in library.tissues:
         return
-    if not TISSUE_NAME_PATTERN.fullmatch(tissue) or tissue == UNDECIDED:
-        raise ConfigurationError(f"--label: {tissue!r} is no name of a tissue: small letters, digits and _ only.")
     if close := difflib.get_close_matches(tissue, library.tissues, n=1, cutoff=0.8):
         raise ConfigurationError(f"--label: there is no tissue {tissue!r}. Did you mean {close[0]!r}?")
+
+
+def _choose_page_path(files: list[Path]) -> Path:
+    """Return a name in this folder that no page and no JSON has."""
+    stem = "report" if len(files) > 1 else f"report-{to_printable(remove_recording_suffix(files[0].name))}"
+    names = (stem if n == 1 else f"{stem}-{n}" for n in itertools.count(1))
+    free = (name for name in names if not any(Path(name + ending).exists() for ending in (".html", ".json")))
+    return Path(next(free) + ".html")
 
 
 def _check_output_paths(page: Path, data: Path) -> None:
@@ -166,7 +165,7 @@ def _check_output_paths(page: Path, data: Path) -> None:
 def _print_summary(report_result: "Report", page: Path, data: Path) -> None:
     from estimator.studies.html_page import format_value
 
-    found, looks, console = report_result.statistics, report_result.tissue_styles, Console()
+    found, looks, console = report_result.statistics, report_result.tissue_styles, create_console()
     table = Table("Held", "Grasps", "Converged", "Mean time, s", "α, N", "β, 1/m", "d, kg/s", title=report_result.title)
     for name, row in found.convergence.items():
         time = row.convergence_s
@@ -176,7 +175,7 @@ def _print_summary(report_result: "Report", page: Path, data: Path) -> None:
         console.print(table)
     for pair, telling in found.find_distinguishing_parameters().items():
         words = f"told apart by {', '.join(telling)}" if telling else "not told apart by any parameter"
-        console.print(f"{' and '.join(looks[name].title for name in pair)}: {words}.", highlight=False)
+        console.print(f"{' and '.join(looks[name].title for name in pair)}: {words}.")
     left_out = f", {len(found.excluded)} of them left out of the statistics" if found.excluded else ""
-    console.print(f"{len(report_result.grasps)} grasps{left_out}.", highlight=False)
-    console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True, highlight=False)
+    console.print(f"{len(report_result.grasps)} grasps{left_out}.")
+    console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True)

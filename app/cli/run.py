@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
+from app.cli.console import error_console
 from app.cli.grasp_table import print_reports
-from app.cli.options import ConfigOption, JsonOption, LibraryOption, ProgressBar, SeedOption, error_console
+from app.cli.options import ConfigOption, JsonOption, LibraryOption, ProgressBar, SeedOption
 from config.errors import ToolError
 from config.load import (
     build_graspable_library,

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app import __version__
-from app.cli.options import error_console
+from app.cli.console import error_console
 from config.network import format_host
 from config.schema import Settings
 

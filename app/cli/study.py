@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
+from app.cli.console import create_console, error_console
 from config.load import load_grasp_protocol, load_library
 from estimator.studies.catalog import MAX_GRASPS, STUDIES, StudyDefinition
 
@@ -23,7 +24,6 @@ app = typer.Typer(
     "and a JSON of every figure, and uses all cores.",
     no_args_is_help=True,
 )
-error_console = Console(stderr=True, highlight=False)
 ESTIMATE_AFTER_SHARE, ESTIMATE_AFTER_S = (
     0.05,
     1.0,
@@ -202,10 +202,10 @@ def _print_study(study: "StudyResult", out: Path, as_json: bool) -> None:
         print(json.dumps(study.to_document(), indent=2, allow_nan=False))
         return
     table = Table("Figure", "Measured", "To reach", "", title=study.title)
-    words = {True: "reached", False: "[bold red]not reached[/]", None: ""}
+    words = {True: "reached", False: Text("not reached", "bold red"), None: ""}
     for figure in study.figures:
         value = "–" if figure.value is None else f"{figure.value:.3g} {figure.unit}".rstrip()
         table.add_row(figure.name, value, figure.floor, words[figure.reached])
-    console = Console()
+    console = create_console()
     console.print(table)
-    console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True, highlight=False)
+    console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True)

@@ -19,7 +19,8 @@ import typer
 
 from app import __version__
 from app.audit.chain_check import check_journal
-from app.cli.options import ConfigOption, DataOption, ToolOption, error_console, prepare_data_folder
+from app.cli.console import error_console
+from app.cli.options import ConfigOption, DataOption, ToolOption, prepare_data_folder
 from app.host.disk import free_bytes
 from app.host.logs import LOG_FILE
 from app.host.logs import LOG_FOLDER as LOGS
@@ -79,7 +80,7 @@ def support(
                 bundle.writestr(name, TOKEN_PATTERN.sub(REDACTED, content))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written ({error.strerror}). Name another with --out.") from None
-    error_console.print(README_TEXT, markup=False, soft_wrap=True)
+    error_console.print(README_TEXT, soft_wrap=True)
     print(path)
 
 

@@ -4,11 +4,11 @@ import json
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from app.cli.options import ConfigOption, DataOption, JsonOption, error_console, prepare_data_folder
-from app.messages.wire import Role
+from app.cli.console import create_console, error_console
+from app.cli.options import ConfigOption, DataOption, JsonOption, prepare_data_folder
+from app.messages.people import Role
 from app.people import tokens
 from config.load import load_settings
 
@@ -38,7 +38,7 @@ def add(
     Example: graspwatch token add Ada --role operator --expires 30
     """
     token = tokens.add_token(prepare_data_folder(data, load_settings(config)), name, role, expires)
-    error_console.print(f"The token of {name}, {role.value}. It is shown this once:", markup=False, soft_wrap=True)
+    error_console.print(f"The token of {name}, {role.value}. It is shown this once:", soft_wrap=True)
     print(token)
 
 
@@ -57,7 +57,7 @@ def list_(config: ConfigOption = None, data: DataOption = None, as_json: JsonOpt
         table.add_column(heading)
     for entry in people:
         table.add_row(entry.name, entry.role.value, f"{entry.created_at:%Y-%m-%d}", entry.state_text)
-    Console(markup=False).print(table)
+    create_console().print(table)
 
 
 @app.command()
@@ -67,4 +67,4 @@ def revoke(name: NameArgument, config: ConfigOption = None, data: DataOption = N
     Example: graspwatch token revoke Ada
     """
     tokens.revoke_token(prepare_data_folder(data, load_settings(config)), name)
-    error_console.print(f"The token of {name} is good for nothing any more.", markup=False, soft_wrap=True)
+    error_console.print(f"The token of {name} is good for nothing any more.", soft_wrap=True)

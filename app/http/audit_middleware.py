@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from app.audit.journal import Journal
 from app.http.methods import SAFE_METHODS
 from app.http.request_origin import forwarded_headers
-from app.messages.wire import Result
+from app.messages.journal import Result
 
 MAX_BODY_BYTES = 20_000  # enough for the requester's name and for the reason of a refusal
 MAX_NAME_LENGTH, MAX_REASON_LENGTH, MAX_CLIENT_LENGTH = 40, 500, 200  # clients may send texts of any length

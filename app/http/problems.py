@@ -8,7 +8,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
-from app.messages.wire import Problem
+from app.messages.system import Problem
 from config.errors import GraspwatchError, RefusedError, ServiceError
 
 PROBLEM_RESPONSE = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}

@@ -14,7 +14,7 @@ from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 from app.index.database_errors import REBUILD_COMMAND, describe_cause, display_url
 from app.index.ingest import IndexedMessage
 from app.index.store import Store
-from app.messages.wire import Alarm
+from app.messages.alarms import Alarm
 
 MAX_QUEUED_MESSAGES = 20_000  # further ones are dropped, counted and reported: the files have them
 MAX_BATCH_MESSAGES = 500
@@ -55,7 +55,7 @@ class IndexWriter:
         self._report_fault()
 
     def enqueue(self, message: IndexedMessage, run_id: str | None = None) -> None:
-        """Queue a wire message for the index. Never blocks, never fails."""
+        """Queue a record for the index. Never blocks, never fails."""
         try:
             self._queue.put_nowait((message, run_id))
         except queue.Full:

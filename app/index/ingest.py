@@ -1,4 +1,4 @@
-"""Ingestion of wire messages into the tables. Ingesting a message twice changes nothing.
+"""Ingestion of records into the tables. Ingesting a record twice changes nothing.
 
 Runs, grasps, alarms and journal lines may come in any order: the newest message of each wins. Of a recording's file the
 last message wins, because it describes the present state.
@@ -12,7 +12,13 @@ from typing import Any, TypeVar
 from sqlalchemy.orm import Session
 
 from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, IndexTable, RunRow
-from app.messages.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Run, RunState, WireModel
+from app.messages.alarms import Alarm
+from app.messages.base import Record
+from app.messages.grasps import GraspEnded
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileRecord
+from app.messages.runs import Run, RunState
+from app.messages.stored import read_stored
 
 Row = TypeVar("Row", bound=IndexTable)
 IndexedMessage = Run | GraspEnded | Alarm | JournalEntry | FileRecord
@@ -46,16 +52,36 @@ def parse_iso_ms(moment: str) -> float:
     return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp() * 1e3
 
 
+FIRST_DEFAULTED_FIELDS = {"type", "change", "deleted_at", "deleted_by"}
+"""Fields with a default that the records inside journal lines had from the beginning."""
+
+
 def line_key(entry: JournalEntry) -> str:
-    """Return the key of a journal line: a hash of its content without its place in the chain."""
-    return hashlib.sha256(entry.without_chain().to_line().encode()).hexdigest()
+    """Return the key of a journal line: a hash of its content without its place in the chain.
+
+    A field that a later version adds to a record changes no key of an older line, which has the default.
+    """
+    exclude = {}
+    for name in ("run", "alarm", "file"):
+        if about := getattr(entry, name):
+            exclude[name] = _find_added_defaults(about)
+    return hashlib.sha256(entry.without_chain().to_line(exclude).encode()).hexdigest()
 
 
-def _to_json_text(message: WireModel) -> str:
+def _find_added_defaults(record: Record) -> set[str]:
+    fields = {name: field for name, field in type(record).model_fields.items() if not field.is_required()}
+    return {
+        name
+        for name, field in fields.items()
+        if name not in FIRST_DEFAULTED_FIELDS and getattr(record, name) == field.default
+    }
+
+
+def _to_json_text(message: Record) -> str:
     return message.model_dump_json()
 
 
-def _to_json_dict(message: WireModel) -> dict[str, Any]:
+def _to_json_dict(message: Record) -> dict[str, Any]:
     return json.loads(message.model_dump_json())
 
 
@@ -81,7 +107,7 @@ def _ingest_run(session: Session, run: Run) -> None:
     row = _get_or_add_run_row(session, run.id)
     row.grasps = max(row.grasps, run.grasps)
     run = run.model_copy(update={"grasps": 0})  # counted in its column
-    if row.message is not None and _run_recency(Run.model_validate(row.message)) >= _run_recency(run):
+    if row.message is not None and _run_recency(read_stored(Run, row.message)) >= _run_recency(run):
         return
     row.protocol, row.tissue, row.by = _replace_nul(run.protocol), _replace_nul(run.tissue), _replace_nul(run.by)
     row.state, row.why = run.state.value, _replace_nul(run.why)
@@ -106,7 +132,7 @@ def _ingest_grasp(session: Session, ended: GraspEnded, run_id: str | None) -> No
     if row is None:
         row = GraspRow(run_id=run_id, index=grasp.index)
         session.add(row)
-    elif _grasp_recency(GraspEnded.model_validate(row.message)) >= _grasp_recency(ended):
+    elif _grasp_recency(read_stored(GraspEnded, row.message)) >= _grasp_recency(ended):
         return
     row.label, row.probability, row.peak_force_n = grasp.label, grasp.probability, grasp.peak_force_n
     row.valid, row.held_back = grasp.valid, grasp.held_back
@@ -123,7 +149,7 @@ def _ingest_alarm(session: Session, alarm: Alarm) -> None:
     if row is None:
         row = AlarmRow(key=key)
         session.add(row)
-    elif _alarm_recency(Alarm.model_validate(row.message)) >= _alarm_recency(alarm):
+    elif _alarm_recency(read_stored(Alarm, row.message)) >= _alarm_recency(alarm):
         return
     row.kind, row.priority, row.active, row.text = alarm.kind.value, alarm.priority.value, alarm.active, alarm.text
     row.began_ms, row.ended_ms, row.change = alarm.began_ms, alarm.ended_ms, alarm.change

@@ -9,7 +9,10 @@ from sqlalchemy import ColumnElement, Connection, Select, and_, func, or_, selec
 from sqlalchemy.orm import InstrumentedAttribute
 
 from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, RunRow
-from app.messages.wire import AlarmKind, JournalKind, Priority, RunState
+from app.messages.alarms import AlarmKind
+from app.messages.journal import JournalKind
+from app.messages.runs import RunState
+from estimator.force_alarms import Priority
 
 SearchText = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00]*$")]
 

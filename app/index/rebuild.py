@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pydantic import ValidationError
 from sqlalchemy import URL, delete
 from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session
@@ -22,7 +21,9 @@ from app.index.index_lock import IndexLock
 from app.index.ingest import IndexedMessage, ingest
 from app.index.store import Store
 from app.index.tables import IndexTable
-from app.messages.wire import FileRecord, JournalEntry
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileRecord
+from app.messages.stored import read_stored
 from config.errors import GraspwatchError, ServiceError
 
 BEHIND_MARKER_FILE = "index.behind"  # in the data folder: messages were left out of the index
@@ -33,7 +34,7 @@ SQLITE_SUFFIXES = ("", "-wal", "-shm")
 class RecordingReader:
     """Reader of recordings whose names end with `suffix`.
 
-    `read_messages` yields a file's wire messages in order, each with its run's id; at damage it raises RecordingError,
+    `read_messages` yields a file's records in order, each with its run's id; at damage it raises RecordingError,
     and the messages before count. `read_file_record` returns the record of the file; the recorder gives the live index
     the same.
     """
@@ -183,8 +184,8 @@ def parse_journal_lines(lines: Iterable[bytes]) -> Iterator[JournalEntry | None]
     for line in lines:
         if line.strip():
             try:
-                yield JournalEntry.model_validate_json(line)
-            except ValidationError:
+                yield read_stored(JournalEntry, line)
+            except ValueError:
                 yield None
 
 

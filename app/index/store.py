@@ -1,4 +1,4 @@
-"""The index's store: ingests and returns wire messages. It blocks; `index_writer.py` is for the event loop."""
+"""The index's store: ingests and returns records. It blocks; `index_writer.py` is for the event loop."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,12 @@ from app.index.index_lock import IndexLock
 from app.index.ingest import IndexedMessage, ingest, line_key
 from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery, RunQuery
 from app.index.tables import AuditRow, FileRow, GraspRow, IndexTable, RunRow
-from app.messages.wire import Alarm, FileRecord, Grasp, GraspEnded, JournalEntry, Run, RunState
+from app.messages.alarms import Alarm
+from app.messages.grasps import Grasp, GraspEnded
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileRecord
+from app.messages.runs import Run, RunState
+from app.messages.stored import read_stored
 
 MAX_TRIES = 5  # while another writer is faster
 M = TypeVar("M")
@@ -69,7 +74,7 @@ class Store:
             yield session
 
     def ingest(self, message: IndexedMessage, run_id: str | None = None) -> None:
-        """Put a wire message into the index; a second time changes nothing. `run_id`: of a grasp without one.
+        """Put a record into the index; a second time changes nothing. `run_id`: of a grasp without one.
 
         Raises:
             DBAPIError: it could not be written.
@@ -115,21 +120,21 @@ class Store:
 
     def find_grasps(self, query: GraspQuery) -> Page[GraspEnded]:
         rows, total = self._fetch_page(queries.select_grasps(query), query)
-        return Page([GraspEnded.model_validate(row.message) for row in rows], total)
+        return Page([read_stored(GraspEnded, row.message) for row in rows], total)
 
     def list_run_grasps(self, run_id: str) -> list[Grasp]:
         """Return all grasps of a run, in order."""
         with explain_database_errors(self.url), Session(self._engine) as session:
             rows = session.scalars(select(GraspRow).where(GraspRow.run_id == run_id).order_by(GraspRow.index))
-            return [GraspEnded.model_validate(row.message).grasp for row in rows]
+            return [read_stored(GraspEnded, row.message).grasp for row in rows]
 
     def find_alarms(self, query: AlarmQuery) -> Page[Alarm]:
         rows, total = self._fetch_page(queries.select_alarms(query), query)
-        return Page([Alarm.model_validate(row.message) for row in rows], total)
+        return Page([read_stored(Alarm, row.message) for row in rows], total)
 
     def find_audit_entries(self, query: AuditQuery) -> Page[JournalEntry]:
         rows, total = self._fetch_page(queries.select_journal_lines(query), query)
-        return Page([JournalEntry.model_validate(row.message) for row in rows], total)
+        return Page([read_stored(JournalEntry, row.message) for row in rows], total)
 
     def list_chain_positions(self) -> list[queries.ChainPosition]:
         """Return the positions of all lines that have a place in the journal's chain."""
@@ -138,11 +143,11 @@ class Store:
 
     def find_files(self, query: FileQuery) -> Page[FileRecord]:
         rows, total = self._fetch_page(queries.select_files(query), query)
-        return Page([FileRecord.model_validate(row.message) for row in rows], total)
+        return Page([read_stored(FileRecord, row.message) for row in rows], total)
 
     def get_file(self, name: str) -> FileRecord | None:
         row = self._get_row(FileRow, name)
-        return FileRecord.model_validate(row.message) if row else None
+        return read_stored(FileRecord, row.message) if row else None
 
     def list_file_names(self) -> set[str]:
         with explain_database_errors(self.url), Session(self._engine) as session:
@@ -169,4 +174,4 @@ class Store:
 
 
 def _to_run(row: RunRow) -> Run:
-    return Run.model_validate({**(row.message or {}), "grasps": row.grasps})
+    return read_stored(Run, {**(row.message or {}), "grasps": row.grasps})

@@ -1,6 +1,7 @@
 """The tables: columns for searching and sorting, and the whole message as JSON.
 
-Times are milliseconds since 1970. `message` is the ingested wire model; a run known only by its grasps has none.
+Times are milliseconds since 1970. `message` is the record (`app/messages/stored.py`); a run known only by its grasps
+has none.
 """
 
 from typing import Any

@@ -13,12 +13,14 @@ from app.http.methods import SAFE_METHODS
 from app.http.problems import ProblemError
 from app.http.rate_limiter import RateLimiter
 from app.http.request_origin import is_allowed_host, is_local_request, is_same_origin, requested_host, single_header
-from app.messages.wire import JournalKind, Priority, Role
+from app.messages.journal import JournalKind
+from app.messages.people import Role
 from app.people.authorization import AuthenticatedUser
 from app.people.browser_sessions import BrowserSessions
 from app.people.tokens import TokenEntry, TokenStore, hash_secret
 from app.service.tool_service import ToolService
 from config.service_plan import ServicePlan
+from estimator.force_alarms import Priority
 
 WATCH_PERIOD_S = 0.5
 FAILURE_BURST, FAILURES_PER_S = 10, 1 / 6

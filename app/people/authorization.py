@@ -7,7 +7,7 @@ from fastapi import Depends, params
 from starlette.requests import HTTPConnection
 
 from app.http.problems import ProblemError
-from app.messages.wire import Role
+from app.messages.people import Role
 
 
 @dataclass(frozen=True, slots=True)

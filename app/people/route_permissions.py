@@ -8,7 +8,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute, APIWebSocketRoute
 
 from app.http.problems import PROBLEM_RESPONSE
-from app.messages.wire import Role
+from app.messages.people import Role
 from app.people.authorization import RoleRequirement
 
 RoutePermissions = Mapping[tuple[str, str], Role | None]

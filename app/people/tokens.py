@@ -17,7 +17,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from app.host.atomic_write import write_atomically
-from app.messages.wire import Role
+from app.messages.people import Role
 from config.errors import ConfigurationError
 
 TOKEN_FILE = "people.json"

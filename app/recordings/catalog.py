@@ -6,16 +6,16 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+from acquisition.recordings.file_names import has_recording_suffix, remove_recording_suffix, to_printable
 from acquisition.recordings.mcap_layout import RAW_TOPIC
 from acquisition.recordings.mcap_reader import McapFile
 from acquisition.recordings.recording import RecordingSource, read_recorded_tool
 from app.host.background_process import SendMessage, run_in_background_process
-from app.messages.wire import RecordingInfo, Recordings
+from app.messages.recordings import RecordingInfo, Recordings
 from config.errors import GraspwatchError, RecordingError, RefusedError
 from config.schema import Tool
 from config.service_plan import ServicePlan
 
-RECORDING_SUFFIXES = (".mcap", ".lvm", ".lvm.gz")
 RETRY_ADVICE = "Ask for the list again."
 MAX_FILES_PER_READ = 50  # the next reading starts with files that are new meanwhile
 
@@ -62,7 +62,7 @@ def read_files(send: SendMessage, files: list[_CatalogFile], tool: Tool) -> None
 
 def _read_file(path: Path, tool: Tool) -> _FileSummary:
     """Return a file's summary; for a complete MCAP file only its beginning and end are read."""
-    if path.suffix != ".mcap":
+    if path.suffix.lower() != ".mcap":
         return _FileSummary(open_recording(path, tool).duration_s)
     container = McapFile(path)
     if container.complete:
@@ -115,9 +115,7 @@ class RecordingCatalog:
     def _scan_files(self) -> dict[str, _CatalogFile]:
         opened = {name: file for name, path in self._opened_recordings.items() if (file := _stat_file(path))}
         folder = self._plan.recordings_folder.resolve()
-        named = [
-            path for path in folder.glob("*") if path.name.endswith(RECORDING_SUFFIXES) and path.name.isprintable()
-        ]
+        named = [path for path in folder.glob("*") if has_recording_suffix(path.name) and path.name.isprintable()]
         inside = [path for path in named if not path.is_symlink() or path.resolve().parent == folder]
         files = [file for path in inside if (file := _stat_file(path))]
         files.sort(key=lambda file: file.modified_ns, reverse=True)
@@ -157,8 +155,10 @@ def _assign_names(paths: tuple[Path, ...]) -> dict[str, Path]:
     """Return files by their names, with a number where names are equal."""
     named: dict[str, Path] = {}
     for path in dict.fromkeys(path.resolve() for path in paths):
-        stem, dot, endings = path.name.partition(".")
-        names = [path.name, *(f"{stem} ({n}){dot}{endings}" for n in range(2, len(paths) + 1))]
+        name = to_printable(path.name)
+        stem = remove_recording_suffix(name)
+        endings = name.removeprefix(stem)
+        names = [name, *(f"{stem} ({n}){endings}" for n in range(2, len(paths) + 1))]
         named[next(name for name in names if name not in named)] = path
     return named
 

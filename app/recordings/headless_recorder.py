@@ -12,8 +12,11 @@ from typing import Self
 from pydantic import BaseModel
 
 from acquisition.recordings import mcap_layout
+from acquisition.recordings.file_names import check_run_name
 from acquisition.sample_block import SampleBlock
-from app.messages.wire import AlarmKind, Grasp, GraspEnded, Run, RunState
+from app.messages.alarms import AlarmKind
+from app.messages.grasps import Grasp, GraspEnded
+from app.messages.runs import Run, RunState
 from app.recordings.mcap_writer import RECORDING_SUFFIX, McapRunWriter, RecordingContext
 from app.recordings.topics import RUN_TOPIC, encode_message, find_topic
 from app.stream.alarms import AlarmManager
@@ -82,6 +85,7 @@ class HeadlessRecorder:
     def __enter__(self) -> Self:
         if self._path.suffix != RECORDING_SUFFIX:
             raise RecordingError(f"{self._path}: the name of a recording ends with {RECORDING_SUFFIX}.")
+        check_run_name(self.run.id, "Name the file otherwise.")
         if self._path.exists():
             raise RecordingError(f"{self._path}: exists already, and is kept. Name another file.")
         if not self._path.parent.is_dir():
@@ -137,9 +141,10 @@ class HeadlessRecorder:
             with self._explain_disk_errors():
                 self._translate(replace(self._last_estimate, ended=(grasp,), alarms=(), withdrawn=()))
 
-    def end_run(self, state: RunState, why: str) -> None:
-        """Record the end of the run."""
-        self.run = self.run.model_copy(update={"state": state, "why": why, "ended_at": datetime.now(UTC).isoformat()})
+    def end_run(self, state: RunState, why: str, ended_at: str | None = None) -> None:
+        """Record the end of the run; `ended_at`, ISO 8601, is now by default."""
+        ended_at = ended_at or datetime.now(UTC).isoformat()
+        self.run = self.run.model_copy(update={"state": state, "why": why, "ended_at": ended_at})
         with self._explain_disk_errors():
             self._write_message(RUN_TOPIC, self.run)
 

@@ -7,7 +7,11 @@ from pathlib import Path
 from acquisition.recordings.mcap_layout import RAW_TOPIC
 from acquisition.recordings.mcap_reader import JsonMessage, McapFile
 from app.index.rebuild import RecordingReader
-from app.messages.wire import Alarm, FileCondition, FileRecord, GraspEnded, JournalEntry, Run
+from app.messages.alarms import Alarm
+from app.messages.grasps import GraspEnded
+from app.messages.journal import JournalEntry
+from app.messages.recordings import FileCondition, FileRecord
+from app.messages.runs import Run
 from app.recordings.mcap_writer import RECORDING_SUFFIX
 from app.recordings.topics import ALARM_TOPIC, GRASP_TOPIC, JOURNAL_TOPIC, RUN_TOPIC, decode_message
 from config.errors import RecordingError
@@ -33,10 +37,10 @@ def read_recorded_messages(path: Path) -> Iterator[tuple[str | None, RecordedMes
             yield run_id, message
 
 
-def read_file_record(path: Path) -> FileRecord:
-    """Return the record of the file; one that cannot be read gets a record with its problem."""
-    stat = path.stat()
-    known = FileRecord(
+def describe_file(path: Path) -> FileRecord:
+    """Return the record of a file whose content is not read, from its name, size and time."""
+    stat = path.lstat()
+    return FileRecord(
         name=path.name,
         run_id=None,
         size_bytes=stat.st_size,
@@ -48,6 +52,11 @@ def read_file_record(path: Path) -> FileRecord:
         condition=None,
         problem=None,
     )
+
+
+def read_file_record(path: Path) -> FileRecord:
+    """Return the record of the file; one that cannot be read gets a record with its problem."""
+    known = describe_file(path)
     try:
         container = McapFile(path)
     except RecordingError as error:

@@ -29,6 +29,7 @@ from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_rows import estimate_columns, row_layouts
 
 RECORDING_SUFFIX = ".mcap"
+RECORDED_AT_METADATA = "recorded_at"  # of an import: the time of its first sample, ISO 8601
 CHUNK_BYTES = 4 * 2**20  # never reached: each flush ends a chunk
 FLUSH_PERIOD_S = 0.25
 MAX_BLOCKS_PER_FLUSH = 200  # three times the blocks that arrive between two flushes
@@ -55,8 +56,10 @@ class RecordingContext:
         try:
             return cls(
                 read_recorded_tool(container),
-                TissueLibrary.model_validate_json(container.attachments[mcap_layout.LIBRARY_ATTACHMENT]),
-                Settings.model_validate_json(container.attachments[mcap_layout.SETTINGS_ATTACHMENT]),
+                TissueLibrary.model_validate_json(
+                    container.attachments[mcap_layout.LIBRARY_ATTACHMENT], extra="ignore"
+                ),
+                Settings.model_validate_json(container.attachments[mcap_layout.SETTINGS_ATTACHMENT], extra="ignore"),
             )
         except (KeyError, ValidationError) as error:
             why = str(error).splitlines()[0]
@@ -114,10 +117,21 @@ class McapRunWriter:
         self._sample_period_ns = 1e9 / recording_context.tool.board.sample_rate_hz
         self._clock_anchor: tuple[int, int] | None = None  # a tick and its time, ns since 1970
         self._file = path.open("xb")
-        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until this process closes it or dies
         self._sync_executor = ThreadPoolExecutor(1, "disk")
         self._sync_future: Future[None] | None = None  # the last sync
         self._sync_started_s = 0.0
+        try:
+            self._begin_file(recording_context, metadata, attachments)
+        except BaseException:  # a file that does not even begin is of no use, and would be in the way of another try
+            self.abandon()
+            path.unlink(missing_ok=True)
+            raise
+
+    def _begin_file(
+        self, recording_context: RecordingContext, metadata: Mapping[str, str], attachments: Mapping[str, bytes]
+    ) -> None:
+        """Write what the file says of itself, and declare its topics."""
+        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until this process closes it or dies
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(mcap_layout.PROFILE, f"graspwatch {__version__}")
         self._writer.add_metadata(mcap_layout.METADATA_NAME, self._build_metadata(recording_context, metadata))

@@ -3,45 +3,27 @@
 import contextlib
 import time
 from collections import deque
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-
+from acquisition.notices import RunMetadata
 from acquisition.recordings import mcap_layout
+from acquisition.recordings.file_names import DEMO_ID_PREFIX
 from acquisition.sample_block import SampleBlock
 from app.host.disk import free_bytes
-from app.messages.wire import Run, RunState
+from app.messages.runs import Run, RunState
+from app.messages.stored import read_stored
 from app.recordings.mcap_writer import FLUSH_PERIOD_S, RECORDING_SUFFIX, McapRunWriter, RecordingContext
-from app.recordings.topics import RUN_TOPIC, decode_message, encode_message
+from app.recordings.topics import RUN_TOPIC, encode_message
 from config.schema import GraspProtocol
+from estimator.estimate_messages import PublishedEstimates
 
 RUN_END_TIMEOUT_S = 10.0  # time limit for a hanging server to report a run's end
 LATE_DATA_GRACE_S = 0.2  # estimates come after their samples, and messages of a run after its last sample
-DEMO_ID_PREFIX = "demo-"  # first part of the id of a demonstration's run
 
 
 class RecordingStoppedError(Exception):
     """A recording ended before its run; the text says why, and what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunMetadata:
-    """Description of a run before it begins. `protocol` is its JSON."""
-
-    run_id: str
-    protocol: str
-    cycles: int
-    tissue: str | None
-    by: str | None
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedEstimates:
-    sequence: int
-    published_ns: int
-    estimates: np.ndarray
 
 
 class Recorder:
@@ -121,7 +103,7 @@ class Recorder:
         """Add a message of a topic of `app/recordings/topics.py`."""
         at_ns = time.monotonic_ns() + self._wall_offset_ns
         if topic == RUN_TOPIC:
-            self._last_run_message = Run.model_validate(decode_message(topic, content))
+            self._last_run_message = read_stored(Run, content)
         if self.file:
             self.file.add_message(topic, content, at_ns)
         if self._announced_run and self._announced_run.run_id != self._current_run_id:

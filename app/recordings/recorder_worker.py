@@ -1,23 +1,30 @@
 """The recorder worker: the process that writes the bus's samples, estimates and messages, run by run."""
 
 import gc
-import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import zmq
 
 from acquisition import bus
+from acquisition.notices import (
+    Notice,
+    RecorderStatus,
+    RecordingFinished,
+    RecordingRecovered,
+    RecordingStopped,
+    RunEnded,
+    RunMetadata,
+)
 from acquisition.worker_life import begin_worker
 from acquisition.worker_process import ProcessEndFlag, limit_memory, take_server_priority
-from app.messages.wire import RunState
+from app.messages.runs import RunState
 from app.recordings.file_repair import recover_folder
 from app.recordings.mcap_writer import RecordingContext
-from app.recordings.recorder import PublishedEstimates, Recorder, RecordingStoppedError, RunMetadata
-from estimator.estimate_block import estimate_dtype
+from app.recordings.recorder import Recorder, RecordingStoppedError
+from estimator.estimate_messages import unpack_estimate_rows
 
 POLL_MS = 100
 STATUS_PERIOD_S = 0.1
@@ -52,14 +59,14 @@ class _RecorderWorker:
         self._setup, self._publisher = setup, publisher
         self._priority = take_server_priority(setup.realtime_priority)
         self._recorder = Recorder(setup.folder, setup.recording_context)
-        self._estimate_dtype = estimate_dtype(len(setup.recording_context.library.tissues))
+        self._tissues = len(setup.recording_context.library.tissues)
         self._sample_sequence = bus.SequenceTracker()
         self._last_status_s = 0.0
 
     def run(self, sources: zmq.Socket, stop: ProcessEndFlag) -> None:
         """Run until the flag is set, then complete the file."""
         for path in recover_folder(self._setup.folder):
-            self._publish_notice("mended", file=path.name)
+            self._publish_notice(RecordingRecovered(path.name))
         while not stop.is_set:
             if sources.poll(POLL_MS):
                 self._run_and_report(lambda: self._on_message(sources.recv_multipart()))
@@ -74,7 +81,7 @@ class _RecorderWorker:
         try:
             work()
         except RecordingStoppedError as stopped:
-            self._publish_notice("recording_stopped", text=str(stopped))
+            self._publish_notice(RecordingStopped(str(stopped)))
         if self._recorder.finished_files or self._recorder.file is not file:
             self._publish_status()
 
@@ -89,38 +96,31 @@ class _RecorderWorker:
                 self._sample_sequence.update(block.sequence, block.t_mono_ns)
                 self._recorder.add_samples(block)
             case bus.ESTIMATES_TOPIC:
-                header = json.loads(parts[1])
-                estimates = np.frombuffer(parts[2], self._estimate_dtype)
-                self._recorder.add_estimates(PublishedEstimates(header["sequence"], header["published_ns"], estimates))
+                self._recorder.add_estimates(unpack_estimate_rows(parts, self._tissues))
             case bus.SERVER_MESSAGE_TOPIC:
                 self._recorder.add_message(*bus.unpack_server_message(parts))
             case bus.NOTICE_TOPIC:
-                notice = bus.unpack_notice(parts)
-                match notice.pop("kind"):
-                    case "brief":
-                        self._recorder.announce_run(RunMetadata(**notice))
-                    case "run_ended":
-                        self._recorder.on_run_ended(notice["run_id"], RunState(notice["end"]), notice["why"])
+                match bus.unpack_notice(parts):
+                    case RunMetadata() as announced:
+                        self._recorder.announce_run(announced)
+                    case RunEnded() as ended:
+                        self._recorder.on_run_ended(ended.run_id, RunState(ended.end), ended.why)
 
     def _publish_status(self) -> None:
         """Publish the recorder's state, which is also its sign of life."""
         self._last_status_s = time.monotonic()
         for path in self._recorder.finished_files:
-            self._publish_notice("recorded", file=path.name)
+            self._publish_notice(RecordingFinished(path.name))
         self._recorder.finished_files.clear()
         file = self._recorder.file
         self._publish_notice(
-            "recording",
-            file=file.path.name if file else None,
-            samples=file.samples if file else 0,
-            missing_blocks=self._sample_sequence.missing,
-            realtime=str(self._priority),
+            RecorderStatus(
+                file=file.path.name if file else None,
+                samples=file.samples if file else 0,
+                missing_blocks=self._sample_sequence.missing,
+                realtime=str(self._priority),
+            )
         )
 
-    def _publish_notice(self, kind: str, **content: object) -> None:
-        self._publisher.send_multipart(bus.pack_notice(kind, **content))
-
-
-def pack_run_metadata(run_metadata: RunMetadata) -> list[bytes]:
-    """Pack a run's description, which the server sends before it starts the run."""
-    return bus.pack_notice("brief", **asdict(run_metadata))
+    def _publish_notice(self, notice: Notice) -> None:
+        self._publisher.send_multipart(bus.pack_notice(notice))

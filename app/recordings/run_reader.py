@@ -8,7 +8,8 @@ import numpy as np
 from acquisition.recordings import mcap_layout
 from acquisition.recordings.mcap_reader import JsonMessage, McapFile, RowBlock, concatenate_rows
 from acquisition.sample_block import field_names
-from app.messages.wire import Grasp, GraspEnded, Run
+from app.messages.grasps import Grasp, GraspEnded
+from app.messages.runs import Run
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.topics import GRASP_TOPIC, RUN_TOPIC, decode_message
 from config.errors import RecordingError

@@ -1,15 +1,20 @@
-"""JSON topics of a recording: messages of `app/messages/wire.py`, with schemas that plotting programs understand.
+"""JSON topics of a recording: records of `app/messages/`, with schemas that plotting programs understand.
 
 Those programs read JSON schemas without references and with one type a field. So a field without a value is left out of
 a message instead of being null.
 """
 
 import json
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import BaseModel
 
-from app.messages.wire import Alarm, GraspEnded, Identification, JournalEntry, Run
+from app.messages.alarms import Alarm
+from app.messages.base import Record
+from app.messages.grasps import GraspEnded, Identification
+from app.messages.journal import JournalEntry
+from app.messages.runs import Run
+from app.messages.stored import read_stored
 
 RUN_TOPIC, GRASP_TOPIC, ALARM_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC = (
     "/run",
@@ -18,14 +23,14 @@ RUN_TOPIC, GRASP_TOPIC, ALARM_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC = (
     "/identification",
     "/journal",
 )
-TOPIC_MODELS: dict[str, type[BaseModel]] = {
+TOPIC_MODELS: dict[str, type[Record]] = {
     RUN_TOPIC: Run,
     GRASP_TOPIC: GraspEnded,
     ALARM_TOPIC: Alarm,
     IDENTIFICATION_TOPIC: Identification,
     JOURNAL_TOPIC: JournalEntry,
 }
-_MODEL_TOPICS = {model: topic for topic, model in TOPIC_MODELS.items()}
+_MODEL_TOPICS: dict[type[BaseModel], str] = {model: topic for topic, model in TOPIC_MODELS.items()}
 
 
 def find_topic(message: BaseModel) -> str | None:
@@ -37,37 +42,13 @@ def encode_message(message: BaseModel) -> bytes:
     return message.model_dump_json(exclude_none=True).encode()
 
 
-def decode_message(topic: str, content: bytes) -> BaseModel:
-    """Return the message that `encode_message` encoded.
+def decode_message(topic: str, content: bytes) -> Record:
+    """Return the record that `encode_message` encoded, in this version or another one.
 
     Raises:
-        ValueError: it is not a message of this topic.
+        ValueError: it is not a record of this topic.
     """
-    try:
-        told = json.loads(content)
-    except RecursionError:
-        raise ValueError("objects within objects without end") from None
-    if not isinstance(told, dict):
-        raise ValueError("it is no object")
-    return TOPIC_MODELS[topic].model_validate(_restore_nulls(TOPIC_MODELS[topic], told))
-
-
-def _restore_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str, Any]:
-    """Set fields that were left out to null, also in nested messages."""
-    result: dict[str, Any] = {name: None for name, field in model.model_fields.items() if field.is_required()}
-    for name, value in content.items():
-        inner = _find_nested_model(model, name) if isinstance(value, dict) else None
-        result[name] = _restore_nulls(inner, value) if inner else value
-    return result
-
-
-def _find_nested_model(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the field's nested model, or None if it has none."""
-    annotation = model.model_fields[name].annotation if name in model.model_fields else None
-    for each in (annotation, *get_args(annotation)):
-        if isinstance(each, type) and issubclass(each, BaseModel):
-            return each
-    return None
+    return read_stored(TOPIC_MODELS[topic], content)
 
 
 def build_json_schema(model: type[BaseModel]) -> bytes:

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from acquisition import bus
 from acquisition.safety_state_machine import MONITORED_STATES, MOTOR_ACTIVE_STATES, Safety
 from acquisition.sample_block import SampleBlock
-from app.messages.wire import Alarm, AlarmKind, Priority
+from app.messages.alarms import Alarm, AlarmKind
 from app.service.commander import ANSWER_TIMEOUT_S, Commander
 from app.service.supervisor import Supervisor
 from app.stream.alarms import AlarmManager
 from config.errors import RefusedError
+from estimator.force_alarms import Priority
 
 FAULT_ALARM_KEY = "fault"
 CALIBRATION_ARM_REASON = "for a calibration with empty jaws at half a volt"

@@ -13,7 +13,7 @@ from app.service.sample_monitor import SampleMonitor
 from app.service.state_reporter import StateReporter
 from app.service.supervisor import Supervisor
 from app.service.watchdog import Watchdog
-from estimator.worker import unpack_estimates
+from estimator.estimate_messages import unpack_estimates
 
 
 class BlockReceiver:

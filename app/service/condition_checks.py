@@ -3,9 +3,9 @@
 from datetime import date
 
 from app.host.disk import free_bytes
-from app.messages.wire import Priority
 from app.stream.alarms import AlarmManager
 from config.service_plan import ServicePlan
+from estimator.force_alarms import Priority
 
 LOW_DISK_BYTES = 200e6  # a few minutes of a recording
 

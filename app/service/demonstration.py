@@ -4,7 +4,7 @@ import asyncio
 from dataclasses import dataclass
 from itertools import cycle
 
-from app.messages.wire import Phase
+from app.messages.live import Phase
 from app.service.tool_service import ToolService
 from config.errors import GraspwatchError
 from config.load import load_grasp_protocol

@@ -13,6 +13,7 @@ import numpy as np
 import zmq
 
 from acquisition import bus
+from acquisition.notices import FoxgloveServing
 from acquisition.recordings import mcap_layout
 from acquisition.recordings.protobuf_rows import RowLayout
 from acquisition.sample_block import SampleBlock
@@ -20,7 +21,7 @@ from acquisition.worker_life import begin_worker
 from acquisition.worker_process import ProcessEndFlag, limit_memory
 from app.recordings.topics import TOPIC_MODELS, build_json_schema
 from config.schema import TissueLibrary
-from estimator.estimate_block import estimate_dtype
+from estimator.estimate_messages import unpack_estimate_rows
 from estimator.estimate_rows import estimate_columns, row_layouts
 
 HOST = "127.0.0.1"
@@ -65,7 +66,7 @@ def _run(
             foxglove_publisher.process(sources.recv_multipart())
         if time.monotonic() - said_s > STATUS_PERIOD_S:
             said_s = time.monotonic()
-            publisher.send_multipart(bus.pack_notice("streaming"))
+            publisher.send_multipart(bus.pack_notice(FoxgloveServing()))
 
 
 class FoxglovePublisher:
@@ -73,7 +74,6 @@ class FoxglovePublisher:
 
     def __init__(self, library: TissueLibrary, sample_rate_hz: float) -> None:
         self._tissues = list(library.tissues)
-        self._estimate_dtype = estimate_dtype(len(self._tissues))
         self._sample_period_ns = 1e9 / sample_rate_hz
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._clock_anchor = (0, time.time_ns())  # a tick and its time, ns since 1970
@@ -89,7 +89,7 @@ class FoxglovePublisher:
             case bus.SAMPLES_TOPIC:
                 self._process_samples(bus.unpack_samples(parts))
             case bus.ESTIMATES_TOPIC:
-                estimates = np.frombuffer(parts[2], self._estimate_dtype)
+                estimates = unpack_estimate_rows(parts, len(self._tissues)).estimates
                 self._publish_rows(mcap_layout.ESTIMATES_TOPIC, estimate_columns(estimates, self._tissues))
             case bus.SERVER_MESSAGE_TOPIC:
                 topic, content = bus.unpack_server_message(parts)

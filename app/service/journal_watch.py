@@ -6,9 +6,10 @@ from pathlib import Path
 
 from app.audit.chain_check import ChainCheckpoint, check_journal
 from app.index.index_writer import IndexWriter
-from app.messages.wire import JournalCheck, Priority
+from app.messages.journal import JournalCheck
 from app.stream.alarms import AlarmManager
 from config.errors import GraspwatchError, JournalError
+from estimator.force_alarms import Priority
 
 CHECK_CACHE_S = 5.0  # many pages may ask at once
 

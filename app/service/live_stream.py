@@ -5,7 +5,7 @@ from pydantic import BaseModel
 from acquisition.sample_block import SampleBlock
 from app.host.clock import monotonic_to_wall_ms, now_ms
 from app.host.logs import LogContext
-from app.messages.wire import Grasp, GraspEnded, Identification
+from app.messages.grasps import Grasp, GraspEnded, Identification
 from app.service.metrics import Metrics
 from app.service.publisher import Publisher
 from app.service.runs import RunRegistry

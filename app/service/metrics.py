@@ -15,7 +15,9 @@ from prometheus_client import (
 )
 
 from app import __version__
-from app.messages.wire import Alarm, AlarmKind, Phase, Priority
+from app.messages.alarms import Alarm, AlarmKind
+from app.messages.live import Phase
+from estimator.force_alarms import Priority
 
 LATENESS_BUCKETS_S = tuple(
     ms / 1e3 for ms in (0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)

@@ -4,19 +4,21 @@ import zmq
 from pydantic import BaseModel
 
 from acquisition import bus
+from acquisition.notices import RunMetadata
 from app.audit.journal import Journal
 from app.host.clock import now_ms
 from app.index.index_writer import IndexWriter
 from app.index.ingest import IndexedMessage
 from app.index.rebuild import BEHIND_MARKER_FILE
 from app.index.store import Store
-from app.messages.wire import EventMessage, JournalKind, Priority, Run
-from app.recordings.recorder import RunMetadata
-from app.recordings.recorder_worker import pack_run_metadata
+from app.messages.journal import JournalKind
+from app.messages.live import EventMessage
+from app.messages.runs import Run
 from app.recordings.topics import encode_message, find_topic
 from app.stream.alarms import AlarmManager
 from app.stream.viewers import ViewerHub
 from config.service_plan import ServicePlan
+from estimator.force_alarms import Priority
 
 CLOSE_TIMEOUT_MS = 200  # for the last messages to the recorder
 
@@ -48,7 +50,7 @@ class Publisher:
 
     def announce_run(self, run_metadata: RunMetadata) -> None:
         """Announce a run to the recorder; call this before the acquisition starts the run."""
-        self._send(pack_run_metadata(run_metadata))
+        self._send(bus.pack_notice(run_metadata))
 
     def publish_event(
         self, text: str, kind: JournalKind = JournalKind.EVENT, by: str | None = None, run: Run | None = None

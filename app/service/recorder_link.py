@@ -2,12 +2,14 @@
 
 import asyncio
 from pathlib import Path
-from typing import Any
 
-from app.messages.wire import RECORDER_OFF, FileRecord, Priority
+from acquisition.notices import Notice, RecorderStatus, RecordingFinished, RecordingRecovered, RecordingStopped
+from app.messages.live import RECORDER_OFF, RecordingState
+from app.messages.recordings import FileRecord
 from app.recordings.index_reader import read_file_record
 from app.service.publisher import Publisher
 from config.service_plan import ServicePlan
+from estimator.force_alarms import Priority
 
 
 class RecorderLink:
@@ -19,19 +21,19 @@ class RecorderLink:
         enabled = plan.settings.recording.enabled and not plan.opened_recordings
         self.state = RECORDER_OFF.model_copy(update={"enabled": enabled})
 
-    def on_notice(self, notice: dict[str, Any]) -> None:
-        match notice["kind"]:
-            case "recording":
-                self._update_state({name: notice[name] for name in ("file", "samples", "missing_blocks")})
-            case "recorded":
-                self._index_file(self._recordings_folder / notice["file"])
-            case "mended":
-                self._publisher.publish_event(f"The recording {notice['file']} had been cut off, and was made whole")
-                self._index_file(self._recordings_folder / notice["file"])
-            case "recording_stopped":
-                self._mark_stopped(notice["text"])
-                self._alarms.raise_technical("recording", Priority.MEDIUM, notice["text"])
-                self._publisher.publish_event(notice["text"])
+    def on_notice(self, notice: Notice) -> None:
+        match notice:
+            case RecorderStatus():
+                self._update_state(notice)
+            case RecordingFinished():
+                self._index_file(self._recordings_folder / notice.file)
+            case RecordingRecovered():
+                self._publisher.publish_event(f"The recording {notice.file} had been cut off, and was made whole")
+                self._index_file(self._recordings_folder / notice.file)
+            case RecordingStopped():
+                self._mark_stopped(notice.text)
+                self._alarms.raise_technical("recording", Priority.MEDIUM, notice.text)
+                self._publisher.publish_event(notice.text)
 
     def on_worker_death(self, text: str) -> None:
         """Raise an alarm after the recorder died; `text` is the supervisor's account of the death."""
@@ -39,12 +41,17 @@ class RecorderLink:
         self._alarms.raise_technical("recorder", Priority.MEDIUM, f"{text} Meanwhile nothing is recorded.")
         self._publisher.publish_event(text)
 
-    def _update_state(self, known: dict[str, Any]) -> None:
-        begins = known["file"] is not None and self.state.file is None
+    def _update_state(self, status: RecorderStatus) -> None:
+        begins = status.file is not None and self.state.file is None
         if begins:
             self._alarms.end("recording")
-        problem = None if begins else self.state.problem
-        self.state = self.state.model_copy(update=known | {"problem": problem})
+        self.state = RecordingState(
+            enabled=self.state.enabled,
+            file=status.file,
+            samples=status.samples,
+            missing_blocks=status.missing_blocks,
+            problem=None if begins else self.state.problem,
+        )
 
     def _mark_stopped(self, text: str) -> None:
         self.state = self.state.model_copy(update={"problem": text, "file": None, "samples": 0})

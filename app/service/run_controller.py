@@ -4,10 +4,12 @@ import contextlib
 from collections.abc import Awaitable, Callable
 
 from acquisition import bus
+from acquisition.notices import RunMetadata
+from acquisition.recordings.file_names import DEMO_ID_PREFIX
 from acquisition.safety_state_machine import Safety
 from app.host.logs import LogContext
-from app.messages.wire import JournalKind, Run, RunState
-from app.recordings.recorder import DEMO_ID_PREFIX, RunMetadata
+from app.messages.journal import JournalKind
+from app.messages.runs import Run, RunState
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
 from app.service.publisher import Publisher

@@ -4,7 +4,8 @@ import secrets
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from app.messages.wire import Grasp, Run, RunState
+from app.messages.grasps import Grasp
+from app.messages.runs import Run, RunState
 from config.schema import ToolKind
 from config.service_plan import ServicePlan
 

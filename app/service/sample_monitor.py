@@ -4,11 +4,11 @@ import time
 from collections import deque
 
 from acquisition.sample_block import SampleBlock
-from app.messages.wire import Priority
 from app.service.metrics import Metrics
 from app.stream.alarms import AlarmManager
 from config.schema import Tool
 from estimator.estimate_block import finite_or_none
+from estimator.force_alarms import Priority
 
 LOSS_ALARM_DURATION_S = 5.0
 LATE_SAMPLES_S = 0.1  # samples read later than this count as late

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from app.host.clock import now_ms
-from app.messages.wire import Phase, State
+from app.messages.live import Phase, State
 from app.service.arming import ArmingController
 from app.service.condition_checks import ConditionChecks
 from app.service.control_lease import ControlLease

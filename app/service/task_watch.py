@@ -5,9 +5,9 @@ import logging
 from collections.abc import Coroutine
 
 from acquisition import bus
-from app.messages.wire import Priority
 from app.service.commander import Commander
 from app.stream.alarms import AlarmManager
+from estimator.force_alarms import Priority
 
 
 class TaskWatch:

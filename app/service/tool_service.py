@@ -10,7 +10,8 @@ import zmq.asyncio
 from acquisition.worker_process import take_server_priority
 from app.host.logs import LogContext
 from app.index.store import Store
-from app.messages.wire import GraspEnded, JournalKind
+from app.messages.grasps import GraspEnded
+from app.messages.journal import JournalKind
 from app.service.arming import ArmingController
 from app.service.block_receiver import BlockReceiver
 from app.service.bus_listener import BusListener

@@ -3,10 +3,10 @@
 import time
 from collections.abc import Callable
 
-from app.messages.wire import Priority
 from app.service.supervisor import Supervisor
 from app.service.workers import WorkerCondition
 from app.stream.alarms import AlarmManager
+from estimator.force_alarms import Priority
 
 SILENCE_ALARM_S = 0.4
 HUNG_TIMEOUT_S = 2.0  # a worker silent for longer is killed and replaced

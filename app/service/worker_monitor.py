@@ -1,9 +1,22 @@
 """What the workers tell of themselves, and their deaths: alarms, ended runs, and what may start next."""
 
-from typing import Any
-
 from acquisition import bus
-from app.messages.wire import AlarmKind, Priority, RunState
+from acquisition.notices import (
+    Acquiring,
+    AcquisitionFailed,
+    AcquisitionStalled,
+    CompilingFilters,
+    Estimating,
+    GraspReleased,
+    Monitoring,
+    MotorNotZeroed,
+    MotorZeroed,
+    Notice,
+    RecorderStatus,
+    RunEnded,
+)
+from app.messages.alarms import AlarmKind
+from app.messages.runs import RunState
 from app.service.arming import ArmingController
 from app.service.block_receiver import BlockReceiver
 from app.service.metrics import Metrics
@@ -13,6 +26,7 @@ from app.service.run_controller import RunController
 from app.service.state_reporter import StateReporter
 from app.service.supervisor import Supervisor
 from app.service.watchdog import Watchdog
+from estimator.force_alarms import Priority
 
 
 class WorkerMonitor:
@@ -51,31 +65,31 @@ class WorkerMonitor:
         else:
             self._receiver.on_estimates(parts)
 
-    def _on_notice(self, notice: dict[str, Any]) -> None:
-        match notice["kind"]:
-            case "compiling":
+    def _on_notice(self, notice: Notice) -> None:
+        match notice:
+            case CompilingFilters():
                 self._publisher.publish_event(
                     "Preparing the filters (compiled on the first start, which takes up to a minute)"
                 )
-            case "estimating":
+            case Estimating():
                 self._fault_texts.pop("estimator", None)
-                self.realtime["estimator"] = notice["realtime"]
+                self.realtime["estimator"] = notice.realtime
                 if self._supervisor.mark_running("estimator"):
                     self._watchdog.on_estimator_started()
                 self._supervisor.open_tool()
-            case "acquiring":
+            case Acquiring():
                 self._fault_texts.pop("acquisition", None)
-                self.realtime["acquisition"] = notice["realtime"]
-                self._publisher.publish_event(f"The tool is acquiring; {notice['realtime']}")
-            case "fault":
-                self._fault_texts[notice["worker"]] = notice["text"]
-                self._alarms.raise_technical(notice["worker"], Priority.HIGH, notice["text"])
-            case "stalled":
-                self._publisher.publish_event(notice["text"])
-            case "let_go":
-                self._alarms.raise_latched("let-go", AlarmKind.FORCE, notice["text"])
-            case "run_ended":
-                self._run_controller.end(notice["run_id"], RunState(notice["end"]), notice["why"])
+                self.realtime["acquisition"] = notice.realtime
+                self._publisher.publish_event(f"The tool is acquiring; {notice.realtime}")
+            case AcquisitionFailed():
+                self._fault_texts["acquisition"] = notice.text
+                self._alarms.raise_technical("acquisition", Priority.HIGH, notice.text)
+            case AcquisitionStalled():
+                self._publisher.publish_event(notice.text)
+            case GraspReleased():
+                self._alarms.raise_latched("let-go", AlarmKind.FORCE, notice.text)
+            case RunEnded():
+                self._run_controller.end(notice.run_id, RunState(notice.end), notice.why)
         self._state.publish()
 
     def on_recorder(self, parts: list[bytes]) -> None:
@@ -84,8 +98,8 @@ class WorkerMonitor:
         self._supervisor.mark_running("recorder")
         before = self._recorder_link.state.file
         notice = bus.unpack_notice(parts)
-        if "realtime" in notice:
-            self.realtime["recorder"] = notice["realtime"]
+        if isinstance(notice, RecorderStatus):
+            self.realtime["recorder"] = notice.realtime
         self._recorder_link.on_notice(notice)
         if self._recorder_link.state.file != before:
             self._state.publish()
@@ -95,14 +109,14 @@ class WorkerMonitor:
         self._watchdog.feed("guard")
         self._supervisor.mark_running("guard")
         notice = bus.unpack_notice(parts)
-        match notice["kind"]:
-            case "guarding":
-                self.realtime["guard"] = notice["realtime"]
-            case "zeroed":
+        match notice:
+            case Monitoring():
+                self.realtime["guard"] = notice.realtime
+            case MotorZeroed():
                 self.on_motor_fault(None)
-                self._alarms.raise_technical("samples", Priority.HIGH, notice["text"])
-            case "not_zeroed":
-                self.on_motor_fault(notice["text"])
+                self._alarms.raise_technical("samples", Priority.HIGH, notice.text)
+            case MotorNotZeroed():
+                self.on_motor_fault(notice.text)
 
     def on_foxglove(self, parts: list[bytes]) -> None:
         """Receive a sign of life of the Foxglove server."""

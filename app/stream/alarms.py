@@ -6,9 +6,10 @@ from pydantic import BaseModel
 
 from app.audit.journal import Journal
 from app.host.clock import now_ms
-from app.messages.wire import Alarm, AlarmKind, JournalKind, Priority
+from app.messages.alarms import Alarm, AlarmKind
+from app.messages.journal import JournalKind
 from config.errors import RefusedError
-from estimator.force_alarms import ForceAlarm
+from estimator.force_alarms import ForceAlarm, Priority
 
 FORCE_ALARM_KEY, PEAK_FORCE_ALARM_KEY = "force", "force-peak"
 PRIORITY_RANK = {Priority.LOW: 1, Priority.MEDIUM: 2, Priority.HIGH: 3}
@@ -56,7 +57,7 @@ class AlarmManager:
         if change.priority is None:
             self.end_force_alarm(at_ms)
             return
-        priority = Priority(change.priority)
+        priority = change.priority
         if priority is not Priority.HIGH:
             self._latch_peak_force()
         whose = change.threshold_tissue.replace("_", " ") if change.threshold_tissue else "lowest of the library"

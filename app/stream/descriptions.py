@@ -4,16 +4,8 @@ from datetime import date
 
 from app import __version__
 from app.host.clock import now_ms
-from app.messages.wire import (
-    ConstantInfo,
-    ForceScaleInfo,
-    Hello,
-    HoldableInfo,
-    LibraryInfo,
-    SpreadInfo,
-    TissueInfo,
-    ToolInfo,
-)
+from app.messages.live import Hello
+from app.messages.tool import ConstantInfo, ForceScaleInfo, HoldableInfo, LibraryInfo, SpreadInfo, TissueInfo, ToolInfo
 from app.stream.frames import build_channels
 from config.load import build_graspable_library
 from config.schema import TissueLibrary, Tool, ToolKind

@@ -1,15 +1,15 @@
 """Translation of estimate blocks into messages: identification, withdrawn names, force alarms, finished grasps."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 
 from pydantic import BaseModel
 
-from acquisition.bus import shallow_asdict
-from app.messages.wire import EventMessage, Grasp, Identification, Priority
+from app.messages.grasps import Grasp, Identification
+from app.messages.live import EventMessage
 from app.stream.alarms import PRIORITY_RANK, AlarmManager
 from config.schema import TissueLibrary
 from estimator.estimate_block import EstimateBlock, GraspRecord
+from estimator.force_alarms import Priority
 
 IDENTIFICATION_RATE_HZ = 10.0
 
@@ -54,7 +54,7 @@ class EventTranslator:
 
     def _publish_identification(self, block: EstimateBlock, at_ms: float) -> None:
         """Publish the identification at every change, and ten times a second during a grasp."""
-        message = Identification(server_time_ms=at_ms, **shallow_asdict(block.identification))
+        message = Identification.from_result(block.identification, at_ms)
         before, self.identification = self.identification, message
         if message.holding_back and not self._held_back:
             at = "" if message.limit_n is None else f" at {message.limit_n:.2f} N"
@@ -73,14 +73,12 @@ class EventTranslator:
             self._rising = False
         elif not self._rising:
             self._rising = True
-            self._force_warnings.append(Priority(priority))
+            self._force_warnings.append(priority)
         else:
-            self._force_warnings[-1:] = [
-                max(self._force_warnings[-1], Priority(priority), key=PRIORITY_RANK.__getitem__)
-            ]
+            self._force_warnings[-1:] = [max(self._force_warnings[-1], priority, key=PRIORITY_RANK.__getitem__)]
 
     def _end_grasp(self, record: GraspRecord) -> None:
-        self._on_grasp(Grasp(**asdict(record), alarms=self._force_warnings, held_back=self._held_back))
+        self._on_grasp(Grasp.from_record(record, self._force_warnings, held_back=self._held_back))
         self._force_warnings, self._rising, self._held_back = [], False, False
 
     def _title(self, label: str) -> str:

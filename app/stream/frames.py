@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from app.messages.wire import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
+from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
 
 SAMPLE_COLUMNS = {
     "strain_v": "V",
@@ -40,7 +40,7 @@ def build_frame_columns(samples: np.ndarray, estimates: np.ndarray, tissues: int
 
 
 def pack_frame(kind: FrameKind, sequence: int, first_tick: int, newest_ms: float, columns: np.ndarray) -> bytes:
-    """Pack one binary frame, see app/messages/wire.py."""
+    """Pack one binary frame, see app/messages/live.py."""
     header = FRAME_HEADER.pack(
         FRAME_MAGIC, FRAME_KINDS[kind], 1, len(columns), columns.shape[1], sequence, float(first_tick), newest_ms
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from fastapi import WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from app.messages.wire import FRAME_HEADER, FrameReceived, ReplayControl
+from app.messages.live import FRAME_HEADER, FrameReceived, ReplayControl
 
 MAX_QUEUED_MESSAGES = 2_000  # messages are never dropped: a viewer with more unread is disconnected
 SEQUENCE_FIELD_INDEX = 5  # of FRAME_HEADER

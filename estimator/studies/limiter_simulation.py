@@ -7,10 +7,11 @@ from typing import Self
 
 import numpy as np
 
-from acquisition.acquisition_loop import AcquisitionController, RunOutcome
+from acquisition.acquisition_loop import AcquisitionController
 from acquisition.bus import ThresholdUpdate
 from acquisition.drivers.command_history import AppliedCommand
 from acquisition.drivers.source import RawBlock
+from acquisition.notices import RunOutcome
 from acquisition.protocol_player import ProtocolPlayer
 from acquisition.safety.force_limiter import ActiveThreshold, ForceLimiter
 from acquisition.safety_state_machine import Safety

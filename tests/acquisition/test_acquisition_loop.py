@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from acquisition.acquisition_loop import AcquisitionController, RunOutcome
+from acquisition.acquisition_loop import AcquisitionController
 from acquisition.drivers.nidaq import NidaqSource
+from acquisition.notices import RunOutcome
 from acquisition.safety_state_machine import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper

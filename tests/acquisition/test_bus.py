@@ -1,11 +1,63 @@
-"""The force limit's way back, over real sockets."""
+"""The messages of the bus: what is packed arrives as it was, and the force limit's way back, over real sockets."""
 
+import json
 import time
+from dataclasses import fields
 from pathlib import Path
+from typing import get_args
 
+import pytest
 import zmq
 
 from acquisition import bus
+from acquisition.notices import MotorZeroed, Notice, RunEnded, RunOutcome
+from config.errors import ServiceError
+
+SAMPLE_VALUES = {
+    "run_id": "20261130-1",
+    "end": RunOutcome.FAILED,
+    "samples": 5,
+    "missing_blocks": 0,
+    "cycles": 3,
+    "tissue": None,
+    "pull_n": 1.5,
+    "gauge_m": None,
+}
+
+
+def filled(kind: type) -> object:
+    """A message with a value in each field."""
+    return kind(**{field.name: SAMPLE_VALUES.get(field.name, f"Ärger: {field.name}") for field in fields(kind)})
+
+
+@pytest.mark.parametrize("kind", get_args(Notice))
+def test_a_notice_arrives_as_it_was_sent(kind: type[Notice]) -> None:
+    notice = filled(kind)
+    assert isinstance(notice, kind)
+    arrived = bus.unpack_notice(bus.pack_notice(notice))
+    assert arrived == notice
+    assert type(arrived) is kind
+    if isinstance(arrived, RunEnded):
+        assert arrived.end is RunOutcome.FAILED
+
+
+@pytest.mark.parametrize("kind", get_args(bus.AnyCommand))
+def test_a_command_arrives_as_it_was_sent_unless_it_is_late(kind: type[bus.AnyCommand]) -> None:
+    command = filled(kind)
+    assert isinstance(command, kind)
+    assert bus.unpack_command(bus.pack_command(command, time.monotonic_ns() + 10**10)) == command
+    late = bus.unpack_command(bus.pack_command(command, time.monotonic_ns() - 1))
+    assert late == (command if kind is bus.StopCommand else None)
+
+
+def test_a_notice_or_command_of_another_version_is_refused_with_what_to_do() -> None:
+    parts = bus.pack_notice(MotorZeroed("by a reset"))
+    parts[1] = parts[1].replace(b"MotorZeroed", b"MotorMelted")
+    with pytest.raises(ServiceError, match=r"'MotorMelted'.*different versions.*Start the service again"):
+        bus.unpack_notice(parts)
+    command = json.loads(bus.pack_command(bus.DisarmCommand(), 0)) | {"command": "OpenJaws"}
+    with pytest.raises(ServiceError, match=r"'OpenJaws'.*Start the service again"):
+        bus.unpack_command(json.dumps(command).encode())
 
 
 def taken(socket: zmq.Socket) -> bus.ThresholdUpdate | None:

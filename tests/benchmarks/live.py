@@ -10,7 +10,7 @@ from pathlib import Path
 from service import Service
 from websockets.asyncio.client import connect
 
-from app.messages.wire import FRAME_HEADER
+from app.messages.live import FRAME_HEADER
 
 SETTLE_S = 15.0
 

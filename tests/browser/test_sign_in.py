@@ -6,7 +6,7 @@ from people import bearer, give_tokens
 from playwright.sync_api import expect
 from service import Service
 
-from app.messages.wire import Role
+from app.messages.people import Role
 from app.people import tokens
 
 pytestmark = pytest.mark.browser

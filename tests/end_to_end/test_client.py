@@ -12,7 +12,10 @@ import pytest
 from certificates import self_signed
 from service import Service
 
-from app.messages.wire import Hello, Identification, Role, RunState
+from app.messages.grasps import Identification
+from app.messages.live import Hello
+from app.messages.people import Role
+from app.messages.runs import RunState
 from app.people import tokens
 from graspwatch import ConnectionLostError, Frame, Graspwatch, RefusedError, UnreachableError
 

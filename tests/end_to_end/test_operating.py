@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from service import PROGRAM, Listener, Service, until
 
-from app.messages.wire import Role
+from app.messages.people import Role
 from app.people import tokens
 
 DEPLOY = Path(__file__).parents[2] / "deploy"

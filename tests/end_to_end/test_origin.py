@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from people import bearer, config_with, give_tokens
 from service import Service
 
-from app.messages.wire import Role
+from app.messages.people import Role
 
 EXAMPLES = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 PORTS = {str(port).encode() for port in range(1, 65_536)}

@@ -14,7 +14,7 @@ from service import Service, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from app.messages.wire import Role
+from app.messages.people import Role
 from app.people import tokens
 
 LEASE_S = 6.0

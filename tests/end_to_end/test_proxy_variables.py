@@ -10,7 +10,7 @@ from people import give_tokens
 from proxy import HttpProxy
 from service import PROGRAM, Service
 
-from app.messages.wire import Role
+from app.messages.people import Role
 
 VARIABLES = ["http_proxy", "HTTP_PROXY", "https_proxy", "HTTPS_PROXY", "all_proxy", "ALL_PROXY"]
 OURS = ["localhost", "LOCALHOST", "127.0.0.1", "127.9.9.9", "127.1", "[::1]", "0.0.0.0"]

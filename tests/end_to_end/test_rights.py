@@ -10,7 +10,7 @@ from people import RIGHTS, bearer, config_with, give_tokens
 from schemathesis import GenerationMode
 from service import Service
 
-from app.messages.wire import Role
+from app.messages.people import Role
 
 EXAMPLES = {GenerationMode.POSITIVE: 6, GenerationMode.NEGATIVE: 4}
 CAN_BE_WRONG = 15  # operations that take something which can be wrong

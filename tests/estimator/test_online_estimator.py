@@ -1,6 +1,5 @@
 import math
 from collections import Counter
-from dataclasses import asdict
 from itertools import pairwise
 
 import numpy as np
@@ -65,7 +64,7 @@ def test_names_it_too_where_contact_is_not_sensed(tissue):
 def test_the_answer_does_not_depend_on_the_size_of_blocks(size):
     samples = held_in("liver", cycles=2)
     (expected_blocks, expected), (blocks, records) = answered(samples), answered(samples, size)
-    assert [asdict(record) for record in records] == [asdict(record) for record in expected]
+    assert [record.model_dump() for record in records] == [record.model_dump() for record in expected]
     rows, expected_rows = (np.concatenate([block.estimates for block in some]) for some in (blocks, expected_blocks))
     assert rows.tobytes() == expected_rows.tobytes()
 
@@ -257,14 +256,14 @@ def test_no_fault_of_the_samples_comes_out_as_a_value(tissue, faults):
     assert np.isfinite(rows["threshold_n"]).all()
     for block in blocks:
         found, last = block.identification, block.estimates[-1]
-        assert_no_nan(asdict(found))
+        assert_no_nan(found.model_dump())
         if found.in_grasp:
             p = [*last["probability"], last["probability_unknown"]]
             assert p == list(found.probabilities.values())
             assert min(p) >= 0
             assert sum(p) == pytest.approx(1)
     for record in records:
-        assert_no_nan(asdict(record))
+        assert_no_nan(record.model_dump())
 
 
 @pytest.mark.parametrize("size", [5, 20])

@@ -16,13 +16,14 @@ from acquisition import bus
 from acquisition.acquisition_loop import AcquisitionController
 from acquisition.bench.jitter import cpu_load
 from acquisition.drivers.nidaq import NidaqSource
+from acquisition.notices import Estimating
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
 from estimator import worker as estimator_worker
-from estimator.worker import ReceivedEstimates, unpack_estimates
+from estimator.estimate_messages import ReceivedEstimates, unpack_estimates
 
 TISSUE = "gallbladder"
 HALF_A_MINUTE = 6_000  # blocks
@@ -52,7 +53,7 @@ class Estimator:
         context = multiprocessing.get_context("spawn")
         self._process = context.Process(target=estimator_worker.main, args=(setup,), daemon=True)
         self._process.start()
-        while bus.unpack_notice(self._answers.recv_multipart())["kind"] != "estimating":
+        while not isinstance(bus.unpack_notice(self._answers.recv_multipart()), Estimating):
             pass
         time.sleep(0.3)  # its subscription travels
 

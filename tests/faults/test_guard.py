@@ -11,6 +11,7 @@ from faulty import LIBRARY, SETTINGS, TOOL
 
 from acquisition import bus
 from acquisition.drivers.nidaq import NidaqSource, create_session_options
+from acquisition.notices import Monitoring, MotorNotZeroed, MotorZeroed, Notice, RunEnded, RunOutcome
 from acquisition.safety import safety_monitor
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
@@ -58,13 +59,13 @@ class GuardedTool:
             assert time.monotonic() < end_s, f"the motor is still driven after {within_s} s"
             time.sleep(BLOCK_S)
 
-    def told_until_zeroed(self) -> list[str]:
+    def told_until_zeroed(self) -> list[Notice]:
         """What was told before it told that the motor is at zero, without the signs of life."""
-        kinds = []
-        while "zeroed" not in kinds:
-            assert self._told.poll(1000), f"told only {kinds}"
-            kinds.append(bus.unpack_notice(self._told.recv_multipart())["kind"])
-        return [kind for kind in kinds[:-1] if kind != "guarding"]
+        notices: list[Notice] = []
+        while not (notices and isinstance(notices[-1], MotorZeroed)):
+            assert self._told.poll(1000), f"told only {notices}"
+            notices.append(bus.unpack_notice(self._told.recv_multipart()))
+        return [notice for notice in notices[:-1] if not isinstance(notice, Monitoring)]
 
     def close(self) -> None:
         self.process.kill()
@@ -96,7 +97,7 @@ def test_a_reset_that_fails_is_tried_again_until_the_motor_is_at_zero(tool):
     tool.wait_for_zero(0.4)
     failures = tool.told_until_zeroed()
     assert len(failures) > 2
-    assert {*failures} == {"not_zeroed"}
+    assert {type(failure) for failure in failures} == {MotorNotZeroed}
 
 
 def test_a_guard_that_is_to_end_in_a_run_stays_until_the_motor_is_at_zero(tool):
@@ -111,7 +112,7 @@ def test_a_guard_that_is_to_end_in_a_run_stays_until_the_motor_is_at_zero(tool):
 
 def test_a_guard_that_is_to_end_leaves_once_the_run_is_over(tool):
     tool.publish(Safety.RUNNING, 0.1)
-    tool.publisher.send_multipart(bus.pack_notice("run_ended", run_id="run", end="stopped", why="asked"))
+    tool.publisher.send_multipart(bus.pack_notice(RunEnded("run", RunOutcome.STOPPED, "asked")))
     tool.process.terminate()
     tool.process.join(2)
     assert tool.process.exitcode == 0

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
+from acquisition.recordings.file_names import to_printable
 from acquisition.recordings.recording import RecordingSource
 from acquisition.sample_block import SampleBlock
 from config.schema import Settings, TissueLibrary, Tool
@@ -132,15 +133,25 @@ def analyze_recording(
     for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
         translator.process(block)
     about = recording.mcap_file.metadata if recording.mcap_file else {}
-    return translator.finish(tissue=about.get("tissue") or None, facts=_collect_facts(recording.path, about))
+    facts = _collect_facts(recording.path, about)
+    if recording.remarks:
+        facts["converted"] = "; ".join(recording.remarks)
+    return translator.finish(tissue=about.get("tissue") or None, facts=facts)
 
 
 def _collect_facts(path: Path, about: dict[str, str]) -> dict[str, Any]:
     """`about`: the metadata of a recorded run."""
     found = path.stat()
     changed = datetime.fromtimestamp(found.st_mtime, UTC).isoformat(sep=" ", timespec="seconds")
-    facts = {"file": path.name, "size": f"{found.st_size / 1e6:.2f} MB", "last changed": changed}
-    words = {"run_id": "run", "protocol": "protocol", "by": "started by", "imported_from": "imported from"}
+    facts = {"file": to_printable(path.name), "size": f"{found.st_size / 1e6:.2f} MB", "last changed": changed}
+    words = {
+        "run_id": "run",
+        "protocol": "protocol",
+        "by": "started by",
+        "imported_from": "imported from",
+        "imported_begun": "recorded",
+        "imported_remarks": "converted",
+    }
     return facts | {word: about[name] for name, word in words.items() if about.get(name)}
 
 

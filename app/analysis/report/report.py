@@ -10,6 +10,7 @@ import numpy as np
 import plotly
 import scipy
 
+from acquisition.recordings.file_names import to_printable
 from acquisition.recordings.mcap_reader import McapFile
 from acquisition.recordings.recording import is_mcap
 from app import __version__
@@ -106,7 +107,7 @@ class Report:
             "held": self.labels.get(recording.title) or recording.tissue,
             "grasps": [
                 {
-                    **to_json_value(asdict(record)),
+                    **to_json_value(record.model_dump()),
                     "group": observation.group,
                     "thickness_m": recording.thickness_m.get(record.index),
                     "alarms": [to_json_value(asdict(alarm)) for alarm in recording.grasp_alarms(record)],
@@ -175,4 +176,4 @@ def read_common_configuration(files: Sequence[Path]) -> tuple[TissueLibrary, Set
 def _make_titles(files: Sequence[Path]) -> dict[Path, str]:
     """Return file names as titles, or paths where names are the same."""
     names = [path.name for path in files]
-    return {path: path.name if names.count(path.name) == 1 else str(path) for path in files}
+    return {path: to_printable(path.name if names.count(path.name) == 1 else str(path)) for path in files}

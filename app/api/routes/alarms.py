@@ -7,7 +7,9 @@ from fastapi import APIRouter, Query, Request
 
 from app.api.dependencies import ToolServiceDep
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
-from app.messages.wire import AcknowledgeRequest, Alarm, JournalEntry, Role
+from app.messages.alarms import AcknowledgeRequest, Alarm
+from app.messages.journal import JournalEntry
+from app.messages.people import Role
 from app.people.authorization import require_requester_name, require_role
 from config.errors import RefusedError
 

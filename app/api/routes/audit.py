@@ -10,7 +10,8 @@ from app.api.dependencies import JournalWatchDep, ToolServiceDep
 from app.audit.journal_export import JournalFilter, JournalFormat, export_lines
 from app.http.problems import PROBLEM_RESPONSE
 from app.index.queries import SearchText
-from app.messages.wire import JournalCheck, Role
+from app.messages.journal import JournalCheck
+from app.messages.people import Role
 from app.people.authorization import require_role
 
 router = APIRouter(prefix="/api/audit", tags=["history"])

@@ -7,7 +7,9 @@ from fastapi import APIRouter, Query, Request
 
 from app.api.dependencies import RecordingBinDep
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
-from app.messages.wire import BinContent, Emptied, FileRecord, PersonName, Role
+from app.messages.base import PersonName
+from app.messages.people import Role
+from app.messages.recordings import BinContent, Emptied, FileRecord
 from app.people.authorization import require_requester_name, require_role
 from config.errors import RefusedError
 

@@ -10,7 +10,8 @@ from app.api.routes.control import acquire_control
 from app.api.routes.runs import check_has_tool
 from app.http.audit_middleware import note_request
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
-from app.messages.wire import Calibration, CalibrationRequest, Role
+from app.messages.calibration import Calibration, CalibrationRequest
+from app.messages.people import Role
 from app.people.authorization import requester_name, require_role
 from config.errors import CalibrationError, ConfigurationError, RefusedError, ServiceError
 

@@ -7,7 +7,8 @@ from fastapi import APIRouter, Body, Request
 
 from app.api.dependencies import ToolServiceDep
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
-from app.messages.wire import ControlInfo, ControlRequest, JournalKind, Role
+from app.messages.journal import JournalKind
+from app.messages.people import ControlInfo, ControlRequest, Role
 from app.people.authorization import get_user, require_role
 from app.service.tool_service import ToolService
 from config.errors import RefusedError

@@ -9,7 +9,11 @@ from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE
 from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery
 from app.index.store import Page
-from app.messages.wire import Alarm, FileRecord, GraspEnded, JournalEntry, Role
+from app.messages.alarms import Alarm
+from app.messages.grasps import GraspEnded
+from app.messages.journal import JournalEntry
+from app.messages.people import Role
+from app.messages.recordings import FileRecord
 from app.people.authorization import require_role
 
 router = APIRouter(prefix="/api", tags=["history"], responses={503: {"description": "No index", **PROBLEM_RESPONSE}})

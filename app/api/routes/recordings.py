@@ -15,7 +15,10 @@ from app.http.audit_middleware import describe_client
 from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.index.queries import RecordingQuery
-from app.messages.wire import PersonName, RecordingInfo, Recordings, ReportProgress, Result, Role
+from app.messages.base import PersonName
+from app.messages.journal import Result
+from app.messages.people import Role
+from app.messages.recordings import RecordingInfo, Recordings, ReportProgress
 from app.people.authorization import require_requester_name, require_role
 from app.recordings.catalog import RecordingCatalog
 from app.recordings.replay.cache_store import ReplayCacheStore
@@ -165,7 +168,7 @@ async def report(
 async def replay(
     socket: WebSocket, tool_service: ToolServiceDep, catalog: CatalogDep, cache_store: ReplayCachesDep, name: str
 ) -> None:
-    """Stream a recording as if it were live, with pause, seek and speed; see app/messages/wire.py."""
+    """Stream a recording as if it were live, with pause, seek and speed; see app/messages/live.py."""
     server = tool_service.plan.settings.server
     await socket.accept()
     try:

@@ -18,7 +18,11 @@ from app.http.audit_middleware import note_request
 from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.index.queries import RunQuery
-from app.messages.wire import ArmRequest, Grasp, Phase, Role, Run, RunRequest, SafetyReport, StopAnswer, StopRequest
+from app.messages.grasps import Grasp
+from app.messages.live import Phase
+from app.messages.people import Role
+from app.messages.runs import Run, RunRequest, StopAnswer, StopRequest
+from app.messages.tool import ArmRequest, SafetyReport
 from app.people.authorization import get_user, requester_name, require_role
 from app.service.tool_service import ToolService
 from config.errors import ConfigurationError, RefusedError, ServiceError

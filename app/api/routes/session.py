@@ -8,7 +8,7 @@ from fastapi import APIRouter, Body, Request, Response
 from app.api.dependencies import AuthenticatorDep
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.http.request_origin import is_encrypted
-from app.messages.wire import SessionInfo, SignIn
+from app.messages.people import SessionInfo, SignIn
 from app.people.authenticator import Authenticator, session_cookie_name
 from app.people.authorization import PUBLIC_ROUTE, AuthenticatedUser, get_user
 from app.people.tokens import hash_secret

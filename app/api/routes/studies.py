@@ -11,7 +11,9 @@ from app.analysis.study_runner import StudyRunner
 from app.api.dependencies import StudiesDep
 from app.http.audit_middleware import note_request
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
-from app.messages.wire import Role, StopRequest, Studies, StudyInfo, StudyRequest, StudyRun
+from app.messages.people import Role
+from app.messages.runs import StopRequest
+from app.messages.studies import Studies, StudyInfo, StudyRequest, StudyRun
 from app.people.authorization import requester_name, require_role
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import require_known_name

@@ -10,7 +10,8 @@ from fastapi import APIRouter
 from app import __version__
 from app.api.dependencies import ToolServiceDep
 from app.host.disk import free_bytes
-from app.messages.wire import Role, System
+from app.messages.people import Role
+from app.messages.system import System
 from app.people.authorization import require_role
 from app.stream.descriptions import build_constant_infos, build_force_scale_info
 

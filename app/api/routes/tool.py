@@ -9,7 +9,10 @@ from pydantic import TypeAdapter
 from acquisition.protocol_player import command_cycle
 from app import __version__
 from app.api.dependencies import ToolServiceDep
-from app.messages.wire import Health, LibraryInfo, Phase, ProtocolInfo, Role, ToolInfo
+from app.messages.live import Phase
+from app.messages.people import Role
+from app.messages.system import Health
+from app.messages.tool import LibraryInfo, ProtocolInfo, ToolInfo
 from app.people.authorization import PUBLIC_ROUTE, get_user, require_role
 from app.stream.descriptions import build_library_info, build_tool_info
 from config.errors import RefusedError

@@ -2,19 +2,28 @@
 
 import hashlib
 from collections.abc import Callable
-from datetime import UTC
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
-from acquisition.recordings.labview import read_start_time
+from acquisition.recordings.file_names import check_run_name, remove_recording_suffix, to_printable
 from acquisition.recordings.recording import RecordingSource
-from app.messages.wire import RunState
+from app.messages.runs import RunState
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
-from app.recordings.mcap_writer import RECORDING_SUFFIX, RecordingContext
+from app.recordings.mcap_writer import RECORDED_AT_METADATA, RECORDING_SUFFIX, RecordingContext
 from config.errors import RecordingError
 from estimator.online_estimator import TissueEstimator
 
 IMPORTED_PROTOCOL = "imported"  # the commands are in the samples
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedLog:
+    """A log that was imported: its recording, and what the person should know of it."""
+
+    path: Path
+    remarks: tuple[str, ...]
 
 
 def import_labview(
@@ -23,29 +32,40 @@ def import_labview(
     recording_context: RecordingContext,
     tissue: str | None,
     progress: Callable[[float], None],
-) -> Path:
-    """Write the recording of a LabVIEW log into `folder`; return its file.
+    name: str | None = None,
+) -> ImportedLog:
+    """Write the recording of a LabVIEW log into `folder`, complete or not at all.
 
-    `recording_context.tool` names the log's channels and their calibration.
+    `recording_context.tool` names the log's channels and their calibration; `name` is that of the recording, by default
+    that of the log.
 
     Raises:
         RecordingError: it cannot be read (the text names file and line), is no LabVIEW log, was imported before, or
             there is no room.
+        ConfigurationError: the name cannot be that of a recording.
     """
-    path = folder / (_name_without_suffixes(source) + RECORDING_SUFFIX)
+    name = check_run_name(name or remove_recording_suffix(source.name), "Give another one with --name.")
+    path = folder / (name + RECORDING_SUFFIX)
+    if path.exists():
+        raise RecordingError(f"{path}: exists already, and is kept. Give the import another name with --name.")
     recording = RecordingSource(source, recording_context.tool)
-    if recording.mcap_file:
+    if recording.labview_log is None:
         raise RecordingError(f"{source}: is an MCAP recording already. Copy it to {folder}.")
-    began = read_start_time(source)
+    started_ns, told = recording.labview_log.find_start_ns()
+    remarks = recording.remarks
+    if started_ns is None:
+        started_ns = source.stat().st_mtime_ns
+        remarks += ("it does not say when it began: the time of the file's last change was taken",)
     about = {
-        "imported_from": source.name,
+        "imported_from": to_printable(source.name),
         "imported_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
-        "imported_begun": f"{began.isoformat()}, in a zone that it does not say" if began else "not said",
+        "imported_begun": told,
+        "imported_remarks": "; ".join(remarks),
+        RECORDED_AT_METADATA: _format_utc(started_ns),
     }
-    started_ns = round(began.replace(tzinfo=UTC).timestamp() * 1e6) * 1000 if began else source.stat().st_mtime_ns
-    run = create_run(path.stem, IMPORTED_PROTOCOL, 1, tissue)
-    if began:
-        run = run.model_copy(update={"started_at": began.replace(tzinfo=UTC).isoformat()})
+    run = create_run(name, IMPORTED_PROTOCOL, 1, tissue)
+    run = run.model_copy(update={"started_at": _format_utc(started_ns)})
+    ended_at = _format_utc(started_ns + round(recording.duration_s * 1e9))
     tool, settings = recording_context.tool, recording_context.settings
     session = TissueEstimator(tool, recording_context.library, settings)
     with HeadlessRecorder(
@@ -55,12 +75,9 @@ def import_labview(
             file.append(block, session.process(block))
         file.add_interrupted_grasp(session.finish())
         file.run = file.run.model_copy(update={"cycles": max(file.run.grasps, 1)})
-        file.end_run(RunState.FINISHED, f"imported from {source.name}")
-    return path
+        file.end_run(RunState.FINISHED, f"imported from {to_printable(source.name)}", ended_at)
+    return ImportedLog(path, remarks)
 
 
-def _name_without_suffixes(source: Path) -> str:
-    name = source.name
-    for ending in (".gz", ".lvm"):
-        name = name.removesuffix(ending)
-    return name
+def _format_utc(time_ns: int) -> str:
+    return datetime.fromtimestamp(time_ns // 1000 / 1e6, UTC).isoformat()

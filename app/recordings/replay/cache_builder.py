@@ -11,7 +11,8 @@ from pydantic import BaseModel
 
 from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.sample_block import SampleBlock
-from app.messages.wire import Alarm, Grasp, GraspEnded, Identification, Priority
+from app.messages.alarms import Alarm
+from app.messages.grasps import Grasp, GraspEnded, Identification
 from app.recordings.catalog import open_recording
 from app.recordings.replay.replay_cache import COLUMNS_FILE, INDEX_FILE, MESSAGES_FILE, TOOL_FILE, MessageKind
 from app.stream.alarms import AlarmManager
@@ -20,6 +21,7 @@ from app.stream.frames import build_channels, build_frame_columns
 from config.errors import ServiceError
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_block import EstimateBlock, GraspRecord
+from estimator.force_alarms import Priority
 
 MESSAGE_INTERVAL_TICKS = 20  # shorter than a frame's; a live tool's blocks (5) take 1.5 times as long
 PROGRESS_STEP = 0.01

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from acquisition.safety_state_machine import Safety
 from app.host.disk import free_bytes
-from app.messages.wire import RECORDER_OFF, EventMessage, FrameKind, Phase, ReplayControl, ReplayState, State
+from app.messages.live import RECORDER_OFF, EventMessage, FrameKind, Phase, ReplayControl, ReplayState, State
 from app.recordings.replay.cache_store import ReplayCacheEntry
 from app.recordings.replay.playhead import Playhead
 from app.recordings.replay.replay_cache import ReplayCache

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from app.messages.wire import ReplayControl
+from app.messages.live import ReplayControl
 
 ROUNDING_TICKS = 1e-6  # a position in seconds stands for a whole tick
 

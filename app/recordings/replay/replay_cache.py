@@ -1,6 +1,6 @@
 """A recording's replay cache: all samples and messages for its viewers, written once, then only read.
 
-It is a folder of four files. `columns.npy` is float32 of shape (samples, channels). `told` holds JSON messages one
+It is a folder of four files. `columns.npy` is float32 of shape (samples, channels). `messages` holds JSON messages one
 after the other. `index.npz` has the tick of each message, and the gaps in the samples. `tool.json` is the tool of the
 recording.
 """
@@ -12,10 +12,10 @@ from typing import Self
 
 import numpy as np
 
-from app.messages.wire import Alarm, AlarmKind
+from app.messages.alarms import Alarm, AlarmKind
 from config.schema import Tool
 
-COLUMNS_FILE, MESSAGES_FILE, INDEX_FILE, TOOL_FILE = "columns.npy", "told", "index.npz", "tool.json"
+COLUMNS_FILE, MESSAGES_FILE, INDEX_FILE, TOOL_FILE = "columns.npy", "messages", "index.npz", "tool.json"
 
 
 class MessageKind(IntEnum):

@@ -35,6 +35,7 @@ export class ProtocolPanel {
   private readonly cycles: HTMLInputElement;
   private readonly start: HTMLButtonElement;
   private readonly armButton: HTMLButtonElement;
+  private readonly scaleReason: HTMLInputElement;
   private readonly message: HTMLElement;
   private readonly control: ControlLine;
   private protocols: ProtocolInfo[] = [];
@@ -51,6 +52,7 @@ export class ProtocolPanel {
     this.cycles = find(root, "cycles", HTMLInputElement);
     this.start = find(root, "start", HTMLButtonElement);
     this.armButton = find(root, "arm", HTMLButtonElement);
+    this.scaleReason = find(root, "scale-reason", HTMLInputElement);
     this.message = find(root, "run-message");
     this.control = new ControlLine(root, person, (failure) => this.showMessage(failure, "failed"));
     this.protocol.addEventListener("change", () => this.preview());
@@ -80,6 +82,7 @@ export class ProtocolPanel {
     const { hello, state } = this.model;
     if (hello && this.tissuesFor !== hello.holdable) this.listTissues(hello);
     setHidden(find(this.root, "run-form"), this.model.hasNoTool);
+    setHidden(find(this.root, "scale-override"), !this.mayOverrideScale);
     this.control.render(state);
     setText(find(this.root, "phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
     setData(find(this.root, "phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
@@ -121,7 +124,7 @@ export class ProtocolPanel {
     const armed = this.isArmed(this.model.state);
     this.showMessage(armed ? "Disarming…" : "Testing the tool…", "pending");
     try {
-      await (armed ? disarm : arm)(this.person.name);
+      await (armed ? disarm(this.person.name) : arm(this.person.name, this.overrideReason));
       this.forget(); // the card's heading shows the safety state
     } catch (error) {
       this.showMessage(messageOf(error), "failed");
@@ -135,7 +138,19 @@ export class ProtocolPanel {
       cycles: cycles === "" ? null : Number(cycles),
       tissue: this.tissue.value === "" ? null : this.tissue.value,
       by: this.person.name,
+      unmeasured_scale: this.overrideReason,
     };
+  }
+
+  /** Whether a person may give a reason to arm a real tool whose force scale is not measured. */
+  private get mayOverrideScale(): boolean {
+    const tool = this.model.hello?.tool;
+    return tool?.kind === "nidaq" && !tool.force_scale.measured && this.person.may("admin");
+  }
+
+  private get overrideReason(): string | null {
+    const reason = this.scaleReason.value.trim();
+    return this.mayOverrideScale && reason !== "" ? reason : null;
   }
 
   private preview(): void {

@@ -50,7 +50,8 @@ export const getProtocols = (): Promise<ProtocolInfo[]> => getJson("/api/protoco
 
 export const startRun = (request: RunRequest): Promise<Run> => postJson("/api/runs", request);
 
-export const arm = (by: string | null): Promise<SafetyReport> => postJson("/api/arm", { by } satisfies ArmRequest);
+export const arm = (by: string | null, unmeasuredScaleReason: string | null): Promise<SafetyReport> =>
+  postJson("/api/arm", { by, unmeasured_scale: unmeasuredScaleReason } satisfies ArmRequest);
 
 export const disarm = (by: string | null): Promise<SafetyReport> => postJson("/api/disarm", { by } satisfies ArmRequest);
 

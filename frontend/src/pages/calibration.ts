@@ -105,8 +105,8 @@ export class CalibrationPage implements Page {
     }
     const person = find(this.root, "calibrate-person", HTMLInputElement).value.trim();
     const days = Number(find(this.root, "calibrate-days", HTMLInputElement).value);
-    const error = Number(find(this.root, "calibrate-load-cell-error", HTMLInputElement).value) / PERCENT;
-    const request: CalibrationRequest = { what, values: numbers, person: person || null, valid_days: days, load_cell_error: error };
+    const loadCellError = Number(find(this.root, "calibrate-load-cell-error", HTMLInputElement).value) / PERCENT;
+    const request: CalibrationRequest = { what, values: numbers, person: person || null, valid_days: days, load_cell_error: loadCellError };
     try {
       this.show(await postJson<Calibration>(PATH, request));
       this.showMessage("Begun: do what stands beside, then take the reading.", "done");

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from acquisition.acquisition_loop import READBACK_TOLERANCE_V, AcquisitionController, RunOutcome
+from acquisition.acquisition_loop import READBACK_TOLERANCE_V, AcquisitionController
 from acquisition.bench import fits
 from acquisition.bench.readings import CalibrationBench
 from acquisition.drivers.nidaq import NidaqSource
+from acquisition.notices import RunOutcome
 from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety_state_machine import Safety
 from acquisition.simulation.board import Plant, SimulatedBoard, VirtualClock

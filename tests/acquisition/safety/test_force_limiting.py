@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from simulation import WatchedGrasper
 
-from acquisition.acquisition_loop import AcquisitionController, RunOutcome
+from acquisition.acquisition_loop import AcquisitionController
 from acquisition.drivers.nidaq import NidaqSource
+from acquisition.notices import RunOutcome
 from acquisition.protocol_player import command_cycle
 from acquisition.safety.force_limiter import LIMIT_RISE_N_PER_S, SETPOINT_SHARE, THRESHOLD_SETTLING_S, ForceLimiter
 from acquisition.safety_state_machine import Safety

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from app.audit.chain_check import ChainCheckpoint, check_journal
 from app.audit.journal import Journal
-from app.messages.wire import JournalCheck, JournalEntry, JournalKind, Result
+from app.messages.journal import JournalCheck, JournalEntry, JournalKind, Result
 from config.errors import JournalError
 
 OLD = b'{"at":"2026-11-01T08:00:00+00:00","kind":"event","text":"The tool is acquiring"}\n'

@@ -20,7 +20,7 @@ from app.index.queries import AuditQuery
 from app.index.rebuild import rebuild
 from app.index.status import read_status
 from app.index.store import Store
-from app.messages.wire import JournalEntry
+from app.messages.journal import JournalEntry
 from config.errors import ServiceError
 
 

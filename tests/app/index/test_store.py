@@ -15,7 +15,9 @@ from app.index.ingest import IndexedMessage
 from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, RunQuery, SortOrder
 from app.index.store import Store
 from app.index.tables import IndexTable
-from app.messages.wire import JournalKind, Priority, RunState
+from app.messages.journal import JournalKind
+from app.messages.runs import RunState
+from estimator.force_alarms import Priority
 
 FINISHED = RunState.FINISHED
 

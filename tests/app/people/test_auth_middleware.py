@@ -7,7 +7,7 @@ import pytest
 from fastapi import FastAPI
 
 from app.http import problems
-from app.messages.wire import Role, SignIn
+from app.messages.people import Role, SignIn
 from app.people import auth_middleware, tokens
 from app.people.authenticator import Authenticator
 from app.people.authorization import require_role

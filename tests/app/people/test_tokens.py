@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from app.messages.wire import Role
+from app.messages.people import Role
 from app.people.tokens import TokenStore, add_token, read_tokens, revoke_token
 from config.errors import ConfigurationError
 

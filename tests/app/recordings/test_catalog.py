@@ -13,7 +13,7 @@ import pytest
 from simulation import joined, simulate_raw, write_lvm
 
 from app.host.background_process import SendMessage, run_in_background_process
-from app.messages.wire import RecordingInfo
+from app.messages.recordings import RecordingInfo
 from app.recordings.catalog import RecordingCatalog
 from app.recordings.replay import cache_store
 from app.recordings.replay.cache_store import ReplayCacheStore

@@ -8,15 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from acquisition.notices import RunMetadata
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
-from app.messages.wire import Run, RunState
+from app.messages.runs import Run, RunState
 from app.recordings.mcap_writer import RecordingContext
-from app.recordings.recorder import PublishedEstimates, Recorder, RunMetadata
+from app.recordings.recorder import Recorder
 from app.recordings.run_reader import read_run
 from app.recordings.topics import RUN_TOPIC as RUN_TOPIC
 from app.recordings.topics import encode_message
 from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from estimator.estimate_block import estimate_dtype
+from estimator.estimate_messages import PublishedEstimates
 
 PROTOCOL = load_grasp_protocol("trapezoid_4hz")
 RIG = RecordingContext(load_tool("simulated"), load_library("porcine"), load_settings())

@@ -2,10 +2,10 @@
 
 import pytest
 
-from app.messages.wire import Alarm, AlarmKind, Priority
+from app.messages.alarms import Alarm, AlarmKind
 from app.stream.alarms import AlarmManager
 from config.errors import RefusedError
-from estimator.force_alarms import ForceAlarm
+from estimator.force_alarms import ForceAlarm, Priority
 
 LOW, MEDIUM, HIGH = Priority.LOW, Priority.MEDIUM, Priority.HIGH
 SHARE = {None: 0.1, LOW: 0.75, MEDIUM: 0.95, HIGH: 1.05}

@@ -9,7 +9,7 @@ from people import bearer, give_tokens
 from service import PROGRAM, Listener, Service, until
 
 from acquisition.recordings.mcap_reader import McapFile
-from app.messages.wire import Role
+from app.messages.people import Role
 
 pytestmark = pytest.mark.skipif(HAS_DRIVER, reason="the driver of a real board is installed")
 START = {"protocol": "trapezoid_2hz", "cycles": 1}

@@ -1,7 +1,6 @@
 """What a replay shows, and when: the film of a recording, and the head that plays it."""
 
 import json
-from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from simulation import cut, joined, lvm_text, simulate_raw
 from acquisition.recordings.labview import read_lvm
 from acquisition.recordings.recording import RecordingSource
 from app.analysis.headless import replay_recording
-from app.messages.wire import ReplayControl
+from app.messages.live import ReplayControl
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.replay import cache_builder
 from app.recordings.replay.cache_builder import build_replay_cache
@@ -96,7 +95,7 @@ def test_its_grasps_are_those_of_the_headless_replay_the_one_that_the_end_cut_sh
     grasps = [message["grasp"] for message in told(film, 0, END, "grasp")]
     assert len(grasps) == 3
     for grasp, record in zip(grasps, report.grasps, strict=True):
-        assert asdict(record).items() <= grasp.items()
+        assert record.model_dump().items() <= grasp.items()
     assert grasps[0]["alarms"] == ["high"]
     assert film.grasp_starts_s == [record.start_s for record in report.grasps]
     assert film.duration_s == END / 1000

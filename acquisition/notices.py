@@ -1,0 +1,171 @@
+"""Notices: what the processes of a service tell each other, beside samples, estimates and commands.
+
+`acquisition/bus.py` packs and unpacks them. `Notice` is the whole set. `realtime` says which scheduling the system
+granted a process.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class RunOutcome(StrEnum):
+    """Outcome of a run."""
+
+    FINISHED = "finished"
+    STOPPED = "stopped"
+    FAILED = "failed"
+
+
+# --- of the acquisition ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Acquiring:
+    """The acquisition has opened the tool and reads samples."""
+
+    realtime: str
+
+
+@dataclass(frozen=True, slots=True)
+class AcquisitionFailed:
+    """The acquisition ends with an error."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class AcquisitionStalled:
+    """The acquisition was held up, and reads samples again."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class GraspReleased:
+    """The limiter released a grasp: the motor is at zero until the protocol's next grasp."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunEnded:
+    """A run is over, and the motor is at zero."""
+
+    run_id: str
+    end: RunOutcome
+    why: str
+
+
+# --- of the estimator ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CompilingFilters:
+    """The estimator compiles its filters, which takes up to a minute."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimating:
+    """The estimator processes samples; repeated once a second."""
+
+    realtime: str
+
+
+# --- of the server ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RunMetadata:
+    """Description of a run before it begins. `protocol` is its JSON."""
+
+    run_id: str
+    protocol: str
+    cycles: int
+    tissue: str | None
+    by: str | None
+
+
+# --- of the recorder -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderStatus:
+    """The recorder's state, which is also its sign of life; `file` is None while none is written."""
+
+    file: str | None
+    samples: int
+    missing_blocks: int
+    realtime: str
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingFinished:
+    """A file is complete."""
+
+    file: str
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingRecovered:
+    """A file that an earlier recorder left cut off has been repaired."""
+
+    file: str
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingStopped:
+    """A recording ended before its run."""
+
+    text: str
+
+
+# --- of the safety monitor -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Monitoring:
+    """The safety monitor's sign of life."""
+
+    realtime: str
+
+
+@dataclass(frozen=True, slots=True)
+class MotorZeroed:
+    """The acquisition fell silent in a run, and a reset of the board has brought the motor to zero."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class MotorNotZeroed:
+    """The acquisition fell silent in a run, and the board could not be reset."""
+
+    text: str
+
+
+# --- of the Foxglove worker ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FoxgloveServing:
+    """The Foxglove worker's sign of life."""
+
+
+Notice = (
+    Acquiring
+    | AcquisitionFailed
+    | AcquisitionStalled
+    | GraspReleased
+    | RunEnded
+    | CompilingFilters
+    | Estimating
+    | RunMetadata
+    | RecorderStatus
+    | RecordingFinished
+    | RecordingRecovered
+    | RecordingStopped
+    | Monitoring
+    | MotorZeroed
+    | MotorNotZeroed
+    | FoxgloveServing
+)

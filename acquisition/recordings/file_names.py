@@ -1,0 +1,55 @@
+"""Names of recordings: their endings, and what a name may be."""
+
+import unicodedata
+
+from config.errors import ConfigurationError
+
+RECORDING_SUFFIXES = (".mcap", ".lvm.gz", ".lvm")  # longer ones before those that they end with
+DEMO_ID_PREFIX = "demo-"  # of the id of a demonstration's run; the recorder deletes old ones
+MAX_NAME_BYTES = 200  # with endings and additions of files beside it, a file system's 255 are not passed
+
+
+def has_recording_suffix(name: str) -> bool:
+    """Return whether a file's name has the ending of a recording, in small or capital letters."""
+    return name.lower().endswith(RECORDING_SUFFIXES)
+
+
+def remove_recording_suffix(name: str) -> str:
+    """Return a file's name without the ending of a recording; all other points are part of the name."""
+    suffix = next((suffix for suffix in RECORDING_SUFFIXES if name.lower().endswith(suffix)), "")
+    return name[: len(name) - len(suffix)]
+
+
+def to_printable(text: str) -> str:
+    """Return the text with each byte that is no UTF-8, as a file's name may have, as an escape."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
+def check_run_name(name: str, advice: str) -> str:
+    """Return the name of a run and of its file if both can have it.
+
+    It may have all letters, signs and spaces, but nothing that a file system, an address or a shell takes for
+    something else.
+
+    Raises:
+        ConfigurationError: it cannot be the name of a run; the text ends with `advice`.
+    """
+    if not name.strip():
+        why = "it is empty"
+    elif to_printable(name) != name:
+        why = "it is not UTF-8"
+    elif not name.isprintable():
+        why = "it has a character that cannot be printed"
+    elif "/" in name or "\\" in name:
+        why = "it has a slash"
+    elif name != name.strip():
+        why = "it begins or ends with a space"
+    elif name[0] in ".-":
+        why = f"it begins with {name[0]!r}"
+    elif name.startswith(DEMO_ID_PREFIX):
+        why = f"{DEMO_ID_PREFIX!r} is kept for demonstrations, whose old recordings are deleted"
+    elif len(unicodedata.normalize("NFD", name).encode()) > MAX_NAME_BYTES:
+        why = f"it has more than {MAX_NAME_BYTES} bytes"
+    else:
+        return name
+    raise ConfigurationError(f"{to_printable(name)[:80]!r} cannot be the name of a recording: {why}. {advice}")

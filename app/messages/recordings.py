@@ -1,0 +1,87 @@
+"""Messages about recordings and the bin."""
+
+from enum import StrEnum
+
+from pydantic import Field
+
+from app.messages.base import Message, Record
+
+
+class FileCondition(StrEnum):
+    """The completeness of a recording."""
+
+    COMPLETE = "complete"
+    RECOVERED = "recovered"
+    """The recording was cut off, and has been repaired."""
+    CUT_OFF = "cut off"
+
+
+class FileRecord(Record):
+    """A recording as the index knows it. A value that is missing or unreadable is null."""
+
+    name: str
+    run_id: str | None
+    size_bytes: int
+    made_at: str = Field(description="ISO 8601, UTC")
+    duration_s: float | None
+    samples: int | None
+    lost_samples: int | None
+    format_version: str | None
+    condition: FileCondition | None
+    problem: str | None
+    deleted_at: str | None = Field(default=None, description="ISO 8601, UTC; null: not deleted")
+    deleted_by: str | None = None
+
+
+class RecordingInfo(Message):
+    """A file of the recordings folder."""
+
+    name: str
+    size_bytes: int
+    modified_at: str = Field(description="ISO 8601, UTC")
+    duration_s: float | None = Field(description="Null: not read yet, or unreadable")
+    problem: str | None = Field(description="Why the recording cannot be replayed")
+    whole: bool = Field(description="False while the recording is being written, or if it was cut off")
+    run_id: str | None = Field(description="Null: the file is no recording of a run")
+    protocol: str | None
+    tissue: str | None = Field(description="Tissue given in the request for the run")
+    by: str | None
+
+
+class Recordings(Message):
+    """The recordings folder."""
+
+    folder: str
+    recordings: list[RecordingInfo]
+
+
+class BinnedRecording(Message):
+    """A deleted recording that can be restored."""
+
+    entry: str = Field(description="Name of the entry in the bin")
+    name: str
+    size_bytes: int
+    deleted_at: str = Field(description="ISO 8601, UTC")
+    deleted_by: str | None
+    expires_at: str = Field(description="ISO 8601, UTC; soon after that the recording is permanently deleted")
+
+
+class BinContent(Message):
+    """The content of the bin, last deleted first. It takes disk space until the bin is emptied."""
+
+    recordings: list[BinnedRecording]
+    size_bytes: int
+    keep_days: float
+
+
+class Emptied(Message):
+    """The result of emptying the bin, which deletes permanently."""
+
+    removed: int
+    freed_bytes: int
+
+
+class ReportProgress(Message):
+    """The progress of a report that is being made."""
+
+    done: float = Field(description="Finished share of the work, 0 to 1")
