@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 NO_VALUE = "–"
@@ -33,6 +32,8 @@ def render_template(name: str, folder: Path = TEMPLATES, **context: Any) -> str:
 
     `kind` in the context names the page's generator, so that a later one knows whether it may overwrite the page.
     """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # a slow import, which the server does not need
+
     environment = Environment(
         loader=FileSystemLoader([folder, TEMPLATES]),
         autoescape=True,
