@@ -17,7 +17,8 @@ from acquisition.safety.server_watch import ServerWatchdog
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
 from acquisition.tool_factory import open_tool
-from acquisition.worker_process import ProcessEndFlag, apply_realtime, initialize_worker
+from acquisition.worker_life import begin_worker
+from acquisition.worker_process import ProcessEndFlag, apply_realtime
 from config.errors import GraspwatchError, RefusedError, ToolError
 from config.schema import ConditioningSettings, GraspProtocol, LimiterSettings, RealtimeSettings, TissueLibrary, Tool
 
@@ -51,17 +52,12 @@ class AcquisitionSetup:
 
 def main(setup: AcquisitionSetup) -> None:
     """Run until a signal or a fault; after an error, publish it and exit with its code."""
-    stop = initialize_worker("acquisition", setup.parent_pid)
-    context = zmq.Context()
-    publisher = bus.open_publisher(context, setup.endpoints.samples)
-    try:
-        _run_acquisition(setup, publisher, context, stop)
-    except GraspwatchError as error:
-        publisher.send_multipart(bus.pack_notice(AcquisitionFailed(str(error))))
-        raise SystemExit(error.exit_code) from None
-    finally:
-        publisher.close()
-        context.destroy(linger=200)
+    with begin_worker("acquisition", setup.parent_pid, setup.endpoints.samples) as life:
+        try:
+            _run_acquisition(setup, life.publisher, life.context, life.stop)
+        except GraspwatchError as error:
+            life.publisher.send_multipart(bus.pack_notice(AcquisitionFailed(str(error))))
+            raise SystemExit(error.exit_code) from None
 
 
 def _run_acquisition(

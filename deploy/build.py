@@ -74,7 +74,8 @@ class Root:
 
 
 def build(folder: Path) -> None:
-    """
+    """Carry out the steps of the Dockerfile in a folder.
+
     Raises:
         CalledProcessError: a step failed.
     """

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import zmq
 
 from acquisition import bus
 from acquisition.notices import CompilingFilters, Estimating
-from acquisition.worker_process import apply_realtime, initialize_worker
+from acquisition.worker_life import begin_worker
+from acquisition.worker_process import apply_realtime
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_block import IdentificationResult
 from estimator.estimate_messages import pack_estimates
@@ -34,22 +34,19 @@ class EstimatorSetup:
 
 def main(setup: EstimatorSetup) -> None:
     """Run the estimator until a signal stops it. Publish a notice when the filters are compiled."""
-    stop = initialize_worker("estimator", setup.parent_pid)
-    context = zmq.Context()
-    samples = bus.open_subscriber(context, setup.endpoints.samples)
-    publisher = bus.open_publisher(context, setup.endpoints.estimates)
-    limits = bus.open_publisher(context, setup.endpoints.thresholds)
-    publisher.send_multipart(bus.pack_notice(CompilingFilters()))
-    compile_filters(setup)
-    granted = apply_realtime(setup.settings.realtime, REALTIME_PRIORITY, core_index=1)
-    session = _create_estimator(setup)
-    counter = bus.SequenceTracker()
-    last_ready = 0.0
-    try:
-        while not stop.is_set:
+    with begin_worker("estimator", setup.parent_pid, setup.endpoints.estimates) as life:
+        samples = bus.open_subscriber(life.context, setup.endpoints.samples)
+        limits = bus.open_publisher(life.context, setup.endpoints.thresholds)
+        life.publisher.send_multipart(bus.pack_notice(CompilingFilters()))
+        compile_filters(setup)
+        granted = apply_realtime(setup.settings.realtime, REALTIME_PRIORITY, core_index=1)
+        session = _create_estimator(setup)
+        counter = bus.SequenceTracker()
+        last_ready = 0.0
+        while not life.stop.is_set:
             if time.monotonic() - last_ready > 1.0:  # repeated, because a subscriber may connect late
                 granted.priority.renew()
-                publisher.send_multipart(bus.pack_notice(Estimating(str(granted))))
+                life.publisher.send_multipart(bus.pack_notice(Estimating(str(granted))))
                 last_ready = time.monotonic()
             if not samples.poll(POLL_INTERVAL_MS):
                 continue
@@ -65,9 +62,7 @@ def main(setup: EstimatorSetup) -> None:
             estimate = session.process(block)
             # The threshold goes first: the limiter waits for it.
             limits.send(bus.pack_threshold(to_threshold_update(estimate.identification)))
-            publisher.send_multipart(pack_estimates(estimate, counter.missing))
-    finally:
-        context.destroy(linger=200)
+            life.publisher.send_multipart(pack_estimates(estimate, counter.missing))
 
 
 def compile_filters(setup: EstimatorSetup) -> None:

@@ -14,7 +14,8 @@ from acquisition import bus
 from acquisition.drivers.nidaq import read_driver_version, reset_device
 from acquisition.notices import Monitoring, MotorNotZeroed, MotorZeroed, RunEnded
 from acquisition.safety_state_machine import RUN_STATES
-from acquisition.worker_process import apply_realtime, initialize_worker
+from acquisition.worker_life import begin_worker
+from acquisition.worker_process import apply_realtime
 from config.errors import ToolError
 from config.schema import RealtimeSettings, Tool
 
@@ -42,19 +43,16 @@ class SafetyMonitorSetup:
 
 def main(setup: SafetyMonitorSetup) -> None:
     """Run until a signal, or beyond it until a run under way has ended."""
-    stop = initialize_worker("guard", setup.parent_pid)
-    context = zmq.Context()
-    blocks = bus.open_subscriber(context, setup.endpoints.samples)
-    publisher = bus.open_publisher(context, setup.endpoints.safety_monitor)
-    read_driver_version(setup.tool)  # connects to the board's server, so that a reset is quick
-    granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=1, cpu_burst_us=CPU_BURST_US)
-    in_run, silent, said_s = False, 0, 0.0
-    try:
-        while in_run or not stop.is_set:
+    with begin_worker("guard", setup.parent_pid, setup.endpoints.safety_monitor) as life:
+        blocks = bus.open_subscriber(life.context, setup.endpoints.samples)
+        read_driver_version(setup.tool)  # connects to the board's server, so that a reset is quick
+        granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=1, cpu_burst_us=CPU_BURST_US)
+        in_run, silent, said_s = False, 0, 0.0
+        while in_run or not life.stop.is_set:
             if time.monotonic() - said_s > REPORT_INTERVAL_S:
                 said_s = time.monotonic()
                 granted.priority.renew()
-                publisher.send_multipart(bus.pack_notice(Monitoring(str(granted))))
+                life.publisher.send_multipart(bus.pack_notice(Monitoring(str(granted))))
             if blocks.poll(POLL_INTERVAL_MS):
                 parts = blocks.recv_multipart()
                 if parts[0] == bus.SAMPLES_TOPIC:
@@ -64,9 +62,7 @@ def main(setup: SafetyMonitorSetup) -> None:
             elif in_run:
                 silent += 1
                 if silent >= SILENT_POLLS:
-                    in_run, silent = not _reset_to_zero(setup.tool, publisher), SILENT_POLLS - RETRY_POLLS
-    finally:
-        context.destroy(linger=200)
+                    in_run, silent = not _reset_to_zero(setup.tool, life.publisher), SILENT_POLLS - RETRY_POLLS
 
 
 def _reset_to_zero(tool: Tool, publisher: zmq.Socket) -> bool:

@@ -52,7 +52,7 @@ class CalibrationSession:
         self._rest_readings: list[RawSignals] = []
         self._motion_readings: list[list[LoadingPass]] = []
         self.state = NO_CALIBRATION
-        tool_service.block_listeners.append(self._on_block)
+        tool_service.receiver.listeners.append(self._on_block)
 
     def _on_block(self, block: SampleBlock) -> None:
         if self._collected_blocks is not None:
@@ -80,7 +80,8 @@ class CalibrationSession:
         self.state = NO_CALIBRATION.model_copy(update={"what": request.what, "values": values})
 
     def discard(self) -> None:
-        """
+        """Discard the measurements so far.
+
         Raises:
             RefusedError: a reading is under way; a stop ends it.
         """
@@ -170,7 +171,7 @@ class CalibrationSession:
         await self._set_simulated_load(0.0, value * 1e-3 if what is CalibrationKind.GEOMETRY else 0.0)
         try:
             self._collected_blocks = []
-            run = await self._tool_service.start_run(
+            run = await self._tool_service.run_controller.start(
                 readings.build_closing_protocol(), 1, None, by, self._unmeasured_scale_reason
             )
             while self._tool_service.runs.current and self._tool_service.runs.current.id == run.id:
@@ -193,7 +194,7 @@ class CalibrationSession:
     async def _set_simulated_load(self, pull_n: float, gauge_m: float | None) -> None:
         """Load the simulated tool as a person loads a real one: a pull on the handle, or a gauge block in the jaws."""
         if self._plan.tool.kind is ToolKind.SIMULATED:
-            await self._tool_service.set_simulated_pull_and_gauge(bus.SimulatedPullAndGaugeCommand(pull_n, gauge_m))
+            await self._tool_service.commander.send(bus.SimulatedPullAndGaugeCommand(pull_n, gauge_m))
 
     async def _finish(self, request: CalibrationRequest, by: str | None) -> None:
         """Fit in a thread, as the first fit loads slow modules, then write the tool file; a failure sets `problem`."""
@@ -210,7 +211,7 @@ class CalibrationSession:
         self._tool_source = str(path)
         self._update_state(result=_build_result(fit, tool, path))
         names = ", ".join(each.key for each in fit.constants)
-        self._tool_service.publish_event(f"Calibrated: {names}; written to {path}", by=by)
+        self._tool_service.publisher.publish_event(f"Calibrated: {names}; written to {path}", by=by)
 
     @property
     def _unmeasured_scale_reason(self) -> str:

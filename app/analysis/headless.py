@@ -8,10 +8,10 @@ from typing import Any
 
 from acquisition.acquisition_loop import AcquisitionController, describe_release
 from acquisition.notices import RunEnded, RunOutcome
+from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.recording import RecordingSource
 from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety_state_machine import Safety
-from acquisition.signals.pipeline import ConditioningPipeline
 from acquisition.tool_factory import open_tool
 from app.messages.runs import RunState
 from app.recordings.estimate_comparison import EstimateComparator, EstimateComparison
@@ -130,7 +130,6 @@ def replay_recording(recording: RecordingSource, recording_context: RecordingCon
     """
     tool, library, settings = recording_context.tool, recording_context.library, recording_context.settings
     report = RunSummary(str(recording.path), library.name, tool.board.sample_rate_hz, force_scale=tool.scale_text)
-    pipeline = ConditioningPipeline(tool, settings.conditioning)
     session = TissueEstimator(tool, library, settings)
     comparing = (
         EstimateComparator(recording.mcap_file, recording_context, recording.first_tick)
@@ -138,15 +137,13 @@ def replay_recording(recording: RecordingSource, recording_context: RecordingCon
         else None
     )
     recording.skip_to_run()
-    with recording:
-        while (raw := recording.read_block()) is not None:
-            report.samples += len(raw)
-            report.lost_samples += raw.lost_samples
-            estimate = session.process(pipeline.process(raw))
-            report.grasps += estimate.ended
-            if comparing:
-                comparing.compare(estimate.estimates)
-            progress(report.samples / recording.sample_count)
+    for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
+        report.samples += len(block.samples)
+        report.lost_samples += block.lost_samples
+        estimate = session.process(block)
+        report.grasps += estimate.ended
+        if comparing:
+            comparing.compare(estimate.estimates)
     if last := session.finish():
         report.grasps.append(last)
     report.comparison = comparing.result if comparing else None

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
+from app.host.atomic_write import write_atomically
 from app.host.background_process import SendMessage, run_in_background_process
 from app.messages.stored import read_stored
 from app.messages.studies import StudyRun, StudyState
@@ -115,10 +116,11 @@ class StudyRunner:
         while True:
             try:
                 (self.folder / study_id).mkdir(parents=True)
-                return study_id
             except FileExistsError:
                 number += 1
                 study_id = f"{name}-{number}"
+            else:
+                return study_id
 
     def _on_progress(self, progress: tuple[int, int]) -> None:
         done, of = progress
@@ -149,10 +151,7 @@ class StudyRunner:
 
 
 def _write_record(folder: Path, run: StudyRun) -> None:
-    path = folder / run.id / RECORD_FILE
-    part = path.with_suffix(".part")
-    part.write_text(run.model_dump_json(indent=2) + "\n", encoding="utf-8")
-    os.replace(part, path)
+    write_atomically(folder / run.id / RECORD_FILE, run.model_dump_json(indent=2) + "\n")
 
 
 def _read_records(folder: Path) -> dict[str, StudyRun]:

@@ -110,7 +110,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         tool_service = ToolService(plan, store, log_context)
-        studies = StudyRunner(plan.studies_folder, lambda text, by: tool_service.publish_event(text, by=by))
+        studies = StudyRunner(plan.studies_folder, lambda text, by: tool_service.publisher.publish_event(text, by=by))
         replay_caches, reports, catalog = ReplayCacheStore(plan), ReportCache(plan), RecordingCatalog(plan)
         index = contextlib.aclosing(tool_service.index_writer)  # closed last: the other parts write to it as they end
         await tool_service.start()
@@ -128,7 +128,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
             recording_bin,
         )
         watch = asyncio.create_task(authenticator.watch_token_file(tool_service))
-        tool_service.supervise_task(watch)
+        tool_service.tasks.watch(watch)
         demo = asyncio.create_task(run_demo(tool_service)) if plan.demo_enabled else None
         async with (
             index,
@@ -255,7 +255,7 @@ class _Server(uvicorn.Server):
         self._app = app
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        await self._app.state.services.tool.halt()
+        await self._app.state.services.tool.run_controller.halt()
         await super().shutdown(sockets)
 
 

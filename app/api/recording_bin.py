@@ -41,7 +41,7 @@ class RecordingBin:
         )
         self._bin_lock = asyncio.Lock()
         self._expiry_task = asyncio.create_task(self._run_expiry_loop())
-        tool_service.supervise_task(self._expiry_task)
+        tool_service.tasks.watch(self._expiry_task)
 
     async def list_content(self) -> BinContent:
         """List the deleted recordings, with who deleted each.
@@ -90,10 +90,13 @@ class RecordingBin:
                 text = f"Recording {name} could not be deleted: {error.strerror}"
                 journal.write(JournalKind.DELETED, text, by=by, file=before)
                 raise ServiceError(f"{text}. Allow writing in its folder.") from None
-            self._tool_service.publish_event(f"Recording {name} deleted: it is in the bin", JournalKind.EVENT, by)
+            self._tool_service.publisher.publish_event(
+                f"Recording {name} deleted: it is in the bin", JournalKind.EVENT, by
+            )
 
     async def find(self, entry: str) -> BinnedFile:
-        """
+        """Return an entry of the bin.
+
         Raises:
             RefusedError: there is no such entry.
         """
@@ -118,7 +121,7 @@ class RecordingBin:
             record = record.model_copy(update={"deleted_at": None, "deleted_by": None})
             text = f"Recording {file.name} restored"
             self._tool_service.journal.write(JournalKind.RESTORED, text, by=by, file=record)
-            self._tool_service.publish_event(text, JournalKind.EVENT, by)
+            self._tool_service.publisher.publish_event(text, JournalKind.EVENT, by)
             await index.wait_until_written()
             return record
 
@@ -131,7 +134,9 @@ class RecordingBin:
         async with self._bin_lock:
             emptied = await self._remove(await asyncio.to_thread(self._bin_folder.list_files), by)
             if emptied.removed:
-                self._tool_service.publish_event(f"Bin emptied of {emptied.removed} recordings", JournalKind.EVENT, by)
+                self._tool_service.publisher.publish_event(
+                    f"Bin emptied of {emptied.removed} recordings", JournalKind.EVENT, by
+                )
             return emptied
 
     async def aclose(self) -> None:

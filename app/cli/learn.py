@@ -11,7 +11,7 @@ from rich.table import Table
 
 from app.cli.console import create_console, print_note
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels
-from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar
+from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, write_output
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary, Tool
 from config.tissue_names import check_tissue_names
@@ -53,7 +53,7 @@ def learn(
 
     Example: graspwatch learn --label liver=liver4Hz1.lvm.gz --label bladder=bladder4Hz1.lvm.gz --out learned.toml
     """
-    from app.analysis.learning.library_file import check_writable, library_to_toml, write_atomically
+    from app.analysis.learning.library_file import check_writable, library_to_toml
 
     files, settings = parse_labels(label), load_settings(config)
     check_tissue_names(files, "--label")
@@ -88,9 +88,9 @@ def learn(
             lambda share: progress(READING_SHARE + (1 - READING_SHARE) * share),
         )
     study = build_report(library.name, library, answers, {"tool": context.name, "base": base, "date": today})
-    write_atomically(page, study.render_page())
-    write_atomically(data, json.dumps(study.to_document(), indent=2, allow_nan=False) + "\n")
-    write_atomically(out, library_to_toml(library))
+    write_output(page, study.render_page())
+    write_output(data, json.dumps(study.to_document(), indent=2, allow_nan=False) + "\n")
+    write_output(out, library_to_toml(library))
     _print_result(study, library, found, out, page, data, as_json)
 
 

@@ -1,4 +1,4 @@
-"""Shared parts of the commands: options, the data folder, the progress bar, the error console."""
+"""Shared parts of the commands: options, the data folder and its recordings, the progress bar, the error console."""
 
 import tempfile
 import time
@@ -8,8 +8,11 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from acquisition.recordings.file_names import has_recording_suffix
 from app.cli.console import error_console
-from config.errors import ConfigurationError
+from app.host.atomic_write import write_atomically
+from config.errors import ConfigurationError, RecordingError
+from config.load import load_settings
 from config.schema import Settings
 
 LibraryOption = Annotated[
@@ -52,6 +55,38 @@ def prepare_data_folder(folder_option: Path | None, settings: Settings) -> Path:
             f"{folder}: is no folder to keep data in ({error.strerror}). Name another with --data."
         ) from None
     return folder.resolve()
+
+
+def find_recording_file(run: str, config: Path | None, data: Path | None) -> Path:
+    """Find the file of a run by its path or, in the data folder, by its id.
+
+    Raises:
+        RecordingError: there is no such recording.
+    """
+    named = Path(run)
+    if named.suffix.lower() == ".mcap" or named.exists():
+        return named
+    if has_recording_suffix(run):
+        raise RecordingError(f"{run}: there is no such file. Check the path.")
+    folder = prepare_data_folder(data, load_settings(config)) / "recordings"
+    path = folder / f"{run}.mcap"
+    if not path.is_file():
+        raise RecordingError(f"There is no recording of a run {run!r} in {folder}. Name another folder with --data.")
+    return path
+
+
+def write_output(path: Path, text: str) -> None:
+    """Write a file that `--out` names, whole or not at all.
+
+    Raises:
+        ConfigurationError: the file cannot be written.
+    """
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be written ({error.strerror}). Free some space, or name another place with --out."
+        ) from None
 
 
 class ProgressBar:

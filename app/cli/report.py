@@ -13,7 +13,7 @@ from rich.table import Table
 from acquisition.recordings.file_names import RECORDING_SUFFIXES, remove_recording_suffix, to_printable
 from app.cli.console import create_console
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels_of
-from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar
+from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, write_output
 from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary
@@ -71,7 +71,7 @@ def report(
     _check_output_paths(page_path, data_path)
 
     from app.analysis.report.page import render_report_page  # a slow import, made after the options are checked
-    from app.analysis.report.report import analyze_recordings, read_common_configuration, write_atomically
+    from app.analysis.report.report import analyze_recordings, read_common_configuration
 
     if library is None and config is None:
         profiles, settings = read_common_configuration(files) or (profiles, settings)
@@ -82,13 +82,8 @@ def report(
             render_report_page(made, progress),
             json.dumps(made.document(), indent=2, allow_nan=False) + "\n",
         )
-    try:
-        write_atomically(page_path, text)
-        write_atomically(data_path, document)
-    except OSError as error:
-        raise ConfigurationError(
-            f"{page_path}: cannot be written ({error.strerror}). Name another with --out."
-        ) from None
+    write_output(page_path, text)
+    write_output(data_path, document)
     if as_json:
         print(document, end="")
         return

@@ -194,9 +194,10 @@ def _ingest_journal(session: Session, path: Path, result: RebuildResult) -> None
         with open_journal(path) as file:
             for entry in parse_journal_lines(file):
                 result.lines += 1
+                if entry is None:
+                    result.broken_lines += 1
+                    continue
                 try:
-                    if entry is None:
-                        raise ValueError("broken")
                     with session.begin_nested():
                         ingest(session, entry)
                 except (ValueError, OverflowError, DataError, IntegrityError):

@@ -89,10 +89,11 @@ class Store:
                 with self.write_transaction() as session:
                     for message, run_id in messages:
                         ingest(session, message, run_id)
-                return
             except DBAPIError as error:
                 if not left or not (is_write_conflict(error) or isinstance(error, IntegrityError)):
                     raise
+            else:
+                return
 
     def ingest_new_lines(self, entries: list[JournalEntry]) -> None:
         """Ingest the journal lines that the index lacks."""

@@ -199,10 +199,8 @@ class Authenticator:
                 self.write_access_entry(f"The token of {entry.name} ({entry.role.value}) was taken back")
                 if self._tool_service:
                     self._tool_service.release_control(entry.name)
-        if self._tool_service and self.token_store.fault:
-            self._tool_service.alarms.raise_technical("people", Priority.MEDIUM, self.token_store.fault)
-        elif self._tool_service:
-            self._tool_service.alarms.end("people")
+        if self._tool_service:
+            self._tool_service.alarms.update_technical("people", Priority.MEDIUM, self.token_store.fault)
         self.close_unauthorized()
 
     def write_access_entry(self, text: str, by: str | None = None) -> None:

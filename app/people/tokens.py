@@ -9,7 +9,6 @@ import hmac
 import os
 import secrets
 import stat
-import tempfile
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
+from app.host.atomic_write import write_atomically
 from app.messages.people import Role
 from config.errors import ConfigurationError
 
@@ -138,27 +138,15 @@ def _edit_tokens(data: Path) -> Iterator[list[TokenEntry]]:
         fcntl.flock(folder, fcntl.LOCK_EX)
         people = read_tokens(data)
         yield people
-        _write_tokens(data, people)
+        write_atomically(
+            data / TOKEN_FILE, _TokenFileContent(people=people).model_dump_json(indent=2) + "\n", private=True
+        )
     except OSError as error:
         raise ConfigurationError(
             f"{data / TOKEN_FILE}: cannot be written ({error.strerror}). Make room or mend it."
         ) from None
     finally:
         os.close(folder)  # releases the lock
-
-
-def _write_tokens(data: Path, people: list[TokenEntry]) -> None:
-    """Replace the file atomically; other users can never read it."""
-    handle, name = tempfile.mkstemp(prefix=f".{TOKEN_FILE}-", dir=data)  # mode 0600
-    try:
-        with open(handle, "w", encoding="utf-8") as file:
-            file.write(_TokenFileContent(people=people).model_dump_json(indent=2) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, data / TOKEN_FILE)
-    except OSError:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 class TokenStore:

@@ -18,7 +18,8 @@ from acquisition.notices import (
     RunEnded,
     RunMetadata,
 )
-from acquisition.worker_process import ProcessEndFlag, initialize_worker, limit_memory, take_server_priority
+from acquisition.worker_life import begin_worker
+from acquisition.worker_process import ProcessEndFlag, limit_memory, take_server_priority
 from app.messages.runs import RunState
 from app.recordings.file_repair import recover_folder
 from app.recordings.mcap_writer import RecordingContext
@@ -42,14 +43,13 @@ class RecorderSetup:
 
 def main(setup: RecorderSetup) -> None:
     """Run until a signal; first repair the files that a previous recorder left cut off."""
-    stop = initialize_worker("recorder", setup.parent_pid)
-    limit_memory()
-    gc.freeze()  # otherwise collecting all modules at exit delays the notice of a failure by 0.5 s
-    context = zmq.Context()
-    publisher = bus.open_publisher(context, setup.endpoints.recorder)
-    sources = bus.open_subscriber(context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events)
-    _RecorderWorker(setup, publisher).run(sources, stop)
-    context.destroy(linger=100)
+    with begin_worker("recorder", setup.parent_pid, setup.endpoints.recorder) as life:
+        limit_memory()
+        gc.freeze()  # otherwise collecting all modules at exit delays the notice of a failure by 0.5 s
+        sources = bus.open_subscriber(
+            life.context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events
+        )
+        _RecorderWorker(setup, life.publisher).run(sources, life.stop)
 
 
 class _RecorderWorker:

@@ -47,12 +47,14 @@ async def run_demo(tool_service: ToolService) -> None:
     """Play the scenes in turn until a person takes over, a run fails or the task is canceled."""
     for scene in cycle(build_scenes(tool_service.plan.library)):
         await asyncio.sleep(PAUSE_S)
-        while tool_service.demo_text and tool_service.phase is not Phase.IDLE:
+        while tool_service.runs.demo_text and tool_service.state.phase is not Phase.IDLE:
             await asyncio.sleep(0.1)
-        if not tool_service.demo_text:
+        if not tool_service.runs.demo_text:
             return
-        tool_service.demo_text = scene.text
+        tool_service.runs.demo_text = scene.text
         try:
-            await tool_service.start_run(load_grasp_protocol(scene.protocol), GRASPS_PER_SCENE, scene.tissue, by=None)
+            await tool_service.run_controller.start(
+                load_grasp_protocol(scene.protocol), GRASPS_PER_SCENE, scene.tissue, by=None
+            )
         except GraspwatchError:
             continue  # its alarm is on; the next scene is tried

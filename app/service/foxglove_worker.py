@@ -17,7 +17,8 @@ from acquisition.notices import FoxgloveServing
 from acquisition.recordings import mcap_layout
 from acquisition.recordings.protobuf_rows import RowLayout
 from acquisition.sample_block import SampleBlock
-from acquisition.worker_process import ProcessEndFlag, initialize_worker, limit_memory
+from acquisition.worker_life import begin_worker
+from acquisition.worker_process import ProcessEndFlag, limit_memory
 from app.recordings.topics import TOPIC_MODELS, build_json_schema
 from config.schema import TissueLibrary
 from estimator.estimate_messages import unpack_estimate_rows
@@ -43,18 +44,17 @@ class FoxgloveSetup:
 
 def main(setup: FoxgloveSetup) -> None:
     """Run the worker until a signal ends it."""
-    stop = initialize_worker("foxglove", setup.parent_pid)
-    context = zmq.Context()
-    publisher = bus.open_publisher(context, setup.endpoints.foxglove)
-    sources = bus.open_subscriber(context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events)
-    server = foxglove.start_server(
-        name=setup.name, host=HOST, port=setup.port, message_backlog_size=MAX_BACKLOG_MESSAGES
-    )
-    stage = FoxglovePublisher(setup.library, setup.sample_rate_hz)
-    limit_memory()
-    _run(sources, publisher, stage, stop)
-    server.stop()
-    context.destroy(linger=100)
+    with begin_worker("foxglove", setup.parent_pid, setup.endpoints.foxglove) as life:
+        sources = bus.open_subscriber(
+            life.context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events
+        )
+        server = foxglove.start_server(
+            name=setup.name, host=HOST, port=setup.port, message_backlog_size=MAX_BACKLOG_MESSAGES
+        )
+        stage = FoxglovePublisher(setup.library, setup.sample_rate_hz)
+        limit_memory()
+        _run(sources, life.publisher, stage, life.stop)
+        server.stop()
 
 
 def _run(

@@ -50,11 +50,8 @@ class JournalWatch:
             return self._last_check
 
     def _update_alarm(self, journal_check: JournalCheck) -> None:
-        if journal_check.problem:
-            text = f"The journal is not as it was written: {journal_check.problem}. Run `graspwatch audit verify`"
-            self._alarms.raise_technical("audit", Priority.LOW, text)
-        else:
-            self._alarms.end("audit")
+        text = f"The journal is not as it was written: {journal_check.problem}. Run `graspwatch audit verify`"
+        self._alarms.update_technical("audit", Priority.LOW, text if journal_check.problem else None)
 
     async def aclose(self) -> None:
         """Cancel the check at the start if it is under way."""

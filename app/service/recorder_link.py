@@ -1,66 +1,25 @@
-"""The server's link to the recorder: sends runs and messages, and handles the recorder's notices."""
+"""What the recorder tells: which file it writes, which it finished, and why it stopped."""
 
 import asyncio
-from collections.abc import Callable
 from pathlib import Path
 
-import zmq
-from pydantic import BaseModel
-
-from acquisition import bus
-from acquisition.notices import (
-    Notice,
-    RecorderStatus,
-    RecordingFinished,
-    RecordingRecovered,
-    RecordingStopped,
-    RunMetadata,
-)
-from app.index.index_writer import IndexWriter
+from acquisition.notices import Notice, RecorderStatus, RecordingFinished, RecordingRecovered, RecordingStopped
 from app.messages.live import RECORDER_OFF, RecordingState
 from app.messages.recordings import FileRecord
 from app.recordings.index_reader import read_file_record
-from app.recordings.topics import encode_message, find_topic
-from app.stream.alarms import AlarmManager
+from app.service.publisher import Publisher
 from config.service_plan import ServicePlan
 from estimator.force_alarms import Priority
 
 
 class RecorderLink:
-    """A link to the recorder, which raises alarms where recording fails."""
+    """The server's copy of the recorder's state; it raises alarms where recording fails."""
 
-    def __init__(
-        self,
-        plan: ServicePlan,
-        address: str,
-        alarms: AlarmManager,
-        index_writer: IndexWriter,
-        publish_event: Callable[[str], None],
-    ) -> None:
-        self._context = zmq.Context()
-        self._socket = bus.open_publisher(self._context, address)
-        self._recordings_folder, self._alarms, self._index_writer, self._publish_event = (
-            plan.recordings_folder,
-            alarms,
-            index_writer,
-            publish_event,
-        )
+    def __init__(self, plan: ServicePlan, publisher: Publisher) -> None:
+        self._recordings_folder, self._publisher, self._alarms = plan.recordings_folder, publisher, publisher.alarms
         self._file_read_tasks: set[asyncio.Task[FileRecord]] = set()
         enabled = plan.settings.recording.enabled and not plan.opened_recordings
         self.state = RECORDER_OFF.model_copy(update={"enabled": enabled})
-
-    def announce_run(self, run_metadata: RunMetadata) -> None:
-        """Announce a run to the recorder; call this before the acquisition starts the run."""
-        self._send(bus.pack_notice(run_metadata))
-
-    def send_message(self, message: BaseModel) -> None:
-        """Send a message to viewers or a journal line to the recorder, if recordings hold its kind."""
-        topic = find_topic(message)
-        if topic:
-            self._send(bus.pack_server_message(topic, encode_message(message)))
-
-    def _send(self, parts: list[bytes]) -> None:
-        self._socket.send_multipart(parts)  # never blocks: a PUB socket drops messages for a reader that hangs
 
     def on_notice(self, notice: Notice) -> None:
         match notice:
@@ -69,18 +28,18 @@ class RecorderLink:
             case RecordingFinished():
                 self._index_file(self._recordings_folder / notice.file)
             case RecordingRecovered():
-                self._publish_event(f"The recording {notice.file} had been cut off, and was made whole")
+                self._publisher.publish_event(f"The recording {notice.file} had been cut off, and was made whole")
                 self._index_file(self._recordings_folder / notice.file)
             case RecordingStopped():
                 self._mark_stopped(notice.text)
                 self._alarms.raise_technical("recording", Priority.MEDIUM, notice.text)
-                self._publish_event(notice.text)
+                self._publisher.publish_event(notice.text)
 
     def on_worker_death(self, text: str) -> None:
         """Raise an alarm after the recorder died; `text` is the supervisor's account of the death."""
         self._mark_stopped("the recorder died")
         self._alarms.raise_technical("recorder", Priority.MEDIUM, f"{text} Meanwhile nothing is recorded.")
-        self._publish_event(text)
+        self._publisher.publish_event(text)
 
     def _update_state(self, status: RecorderStatus) -> None:
         begins = status.file is not None and self.state.file is None
@@ -106,11 +65,10 @@ class RecorderLink:
         self._file_read_tasks.discard(reading)
         gone = reading.cancelled() or isinstance(reading.exception(), OSError)
         if not gone:
-            self._index_writer.enqueue(reading.result())
+            self._publisher.index_writer.enqueue(reading.result())
 
     async def aclose(self) -> None:
-        """Put the last recording into the index, and close; call this after the recorder has ended."""
+        """Put the last recording into the index; call this after the recorder has ended."""
         if self.state.file:
             self._index_file(self._recordings_folder / self.state.file)
         await asyncio.gather(*self._file_read_tasks, return_exceptions=True)
-        self._context.destroy(linger=200)

@@ -1,4 +1,4 @@
-"""The registry of runs: the run under way, earlier runs, and the grasps of each."""
+"""The registry of runs: the run under way, earlier runs, the grasps of each, and the demonstration they belong to."""
 
 import secrets
 from dataclasses import dataclass, field
@@ -6,6 +6,8 @@ from datetime import UTC, datetime
 
 from app.messages.grasps import Grasp
 from app.messages.runs import Run, RunState
+from config.schema import ToolKind
+from config.service_plan import ServicePlan
 
 MAX_RUNS = 1_000
 
@@ -21,7 +23,11 @@ class _RunEntry:
 class RunRegistry:
     """The last runs of this service, oldest first."""
 
-    def __init__(self) -> None:
+    def __init__(self, plan: ServicePlan) -> None:
+        self.demo_text: str | None = (
+            "The demonstration begins as soon as the tool is ready" if plan.demo_enabled else None
+        )
+        self.simulated_tissue = plan.simulated_tissue if plan.tool.kind is ToolKind.SIMULATED else None
         self._entries: dict[str, _RunEntry] = {}
         self._run_count = 0
         self._service_id = secrets.token_hex(2)  # two services that share an index may start a run in the same second

@@ -3,7 +3,8 @@
 import time
 from collections.abc import Callable
 
-from app.service.supervisor import Supervisor, WorkerCondition
+from app.service.supervisor import Supervisor
+from app.service.workers import WorkerCondition
 from app.stream.alarms import AlarmManager
 from estimator.force_alarms import Priority
 

@@ -45,6 +45,13 @@ class AlarmManager:
     def raise_technical(self, key: str, priority: Priority, text: str, at_ms: float | None = None) -> None:
         self._raise(key, AlarmKind.TECHNICAL, priority, text, at_ms)
 
+    def update_technical(self, key: str, priority: Priority, fault: str | None) -> None:
+        """Raise an alarm with the text of a fault, or end it if there is none."""
+        if fault:
+            self.raise_technical(key, priority, fault)
+        else:
+            self.end(key)
+
     def update_force_alarm(self, change: ForceAlarm, at_ms: float | None = None) -> None:
         """Apply a change of the force warning."""
         if change.priority is None:

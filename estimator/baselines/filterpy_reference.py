@@ -1,4 +1,4 @@
-"""The same bank on filterpy: a slow, independent reference for tests of the compiled bank.
+"""The same bank on filterpy: a slow, independent reference for the compiled bank.
 
 Both share only the constants, the order of the states and the start of a grasp. The reference discretizes the whole
 linearized system with scipy's matrix exponential and uses filterpy's filter equations.
@@ -10,6 +10,8 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag, expm
 
+from config.schema import IdentificationSettings, TissueLibrary, Tool
+from estimator.baselines.identifier import BankIdentifier
 from estimator.constants import (
     DRIFT_FLOOR_N,
     EXPONENT_LIMIT,
@@ -17,14 +19,22 @@ from estimator.constants import (
     MAX_LOG_DEVIATION,
     MIN_RISE_N,
     MIN_RISE_SHARE,
+    NIS_DIVERGED,
     NIS_INFLATION_THRESHOLD,
+    NIS_MEMORY,
     RISE_MEAN_SAMPLES,
     RISE_SPAN_SAMPLES,
     SECOND_PASS_AT,
+    SURPRISE_MIN_SAMPLES,
 )
-from estimator.filter_bank import FilterBank
+from estimator.evidence import BankEvidence
+from estimator.filter_bank import ContactStart, FilterBank
 from estimator.kalman_filter import (
     DRIFT,
+    INFLATION,
+    LOG_LIKELIHOOD,
+    NIS_RECENT,
+    NIS_SUM,
     OFFSET,
     PARAMETERS,
     PARAMETERS_AND_MASS,
@@ -33,6 +43,7 @@ from estimator.kalman_filter import (
     FilterNoise,
     V,
     X,
+    find_most_likely,
 )
 
 # further states of the augmented system: strain noise of the next sample, force between the samples, constant
@@ -47,7 +58,8 @@ class ReferenceFilter(ExtendedKalmanFilter):
         self.x, self.P = mean.reshape(-1, 1).copy(), cov.copy()
         self.R = np.array([[noise.displacement_var]])
         self._noise, self._guess = noise, guess
-        self.log_likelihood_sum = 0.0
+        self.fit_statistics = np.ones(4)  # as those of the bank
+        self.fit_statistics[[LOG_LIKELIHOOD, NIS_SUM]] = 0.0
 
     def process_sample(
         self, before: np.ndarray, sample: np.ndarray, is_rising: bool, linearization_point: np.ndarray | None = None
@@ -63,6 +75,10 @@ class ReferenceFilter(ExtendedKalmanFilter):
         )
         self.predict()
         self._correct(sample, is_rising or self._noise.learns_held > 0)
+
+    @property
+    def log_likelihood_sum(self) -> float:
+        return float(self.fit_statistics[LOG_LIKELIHOOD])
 
     def predict_x(self, u: np.ndarray | float = 0) -> None:
         self.x = self._predicted
@@ -103,16 +119,19 @@ class ReferenceFilter(ExtendedKalmanFilter):
         self.Q += block_diag(np.zeros((2, 2)), np.diag(walk), np.zeros((2, 2)), drift, 0.0)
 
     def _correct(self, sample: np.ndarray, learns_parameters: bool) -> None:
-        """Do the measurement update and add its log-likelihood; the parameters' gain is zero if they do not learn."""
+        """Do the measurement update and add to the fit statistics; parameters that do not learn have no gain."""
         row = np.zeros((1, STATE_COUNT))
         row[0, [X, OFFSET, STRAIN_NOISE]] = 1.0, 1.0, sample[3]
         variance = float((row @ self.P @ row.T + self.R)[0, 0])
         innovation = sample[1] - float((row @ self.x)[0, 0])
-        self.log_likelihood_sum -= 0.5 * (innovation**2 / variance + np.log(2 * np.pi * variance))
+        nis, fit = innovation**2 / variance, self.fit_statistics
+        fit[LOG_LIKELIHOOD] -= 0.5 * (nis + np.log(2 * np.pi * variance))
+        fit[NIS_SUM] += nis
+        fit[NIS_RECENT] = NIS_MEMORY * fit[NIS_RECENT] + (1 - NIS_MEMORY) * nis
         if learns_parameters:
-            wider = np.full(
-                STATE_COUNT, np.sqrt(np.clip(innovation**2 / variance / NIS_INFLATION_THRESHOLD, 1.0, MAX_INFLATION))
-            )
+            inflation = np.clip(nis / NIS_INFLATION_THRESHOLD, 1.0, MAX_INFLATION)
+            fit[INFLATION] *= inflation
+            wider = np.full(STATE_COUNT, np.sqrt(inflation))
             wider[STRAIN_NOISE] = 1.0
             self.P = self.P * np.outer(wider, wider)
             self.update(np.array([[sample[1]]]), HJacobian=lambda _: row, Hx=lambda state: row @ state)
@@ -174,3 +193,34 @@ class ReferenceBank:
             if not again.is_healthy:
                 return self.filters[k]
         return again
+
+
+class FilterpyBank(FilterBank):
+    """The bank, with filterpy's filters in the place of the compiled ones."""
+
+    def start(self, first: ContactStart, strain_var: float | None = None) -> None:
+        super().start(first, strain_var)
+        self._reference = ReferenceBank(self)
+
+    def advance(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Advance all K filters; return their means and variances, (n, K, 9) each."""
+        state, tissues = self.state, len(self.priors.names)
+        mean, variance = np.empty((2, len(samples), len(state.mean), STATE_COUNT))
+        for i in range(len(samples)):
+            with np.errstate(all="ignore"):  # a filter that diverges overflows
+                mean[i : i + 1], variance[i : i + 1] = self._reference.advance(samples[i : i + 1])
+            for k, one in enumerate(self._reference.filters):
+                state.mean[k], state.cov[k] = one.x[:, 0], one.P
+                state.fit_statistics[k], state.valid[k] = one.fit_statistics, one.is_healthy
+            state.samples_taken[0] += 1
+            if state.samples_taken[0] > SURPRISE_MIN_SAMPLES:
+                best = find_most_likely(len(state.mean) - tissues, len(state.mean), state.fit_statistics, state.valid)
+                misfit = state.fit_statistics[best, NIS_RECENT] if best >= 0 else NIS_DIVERGED
+                state.surprise[0] = max(state.surprise[0], misfit)
+        return mean, variance
+
+
+def build_filterpy_identifier(tool: Tool, library: TissueLibrary, settings: IdentificationSettings) -> BankIdentifier:
+    """Create the bank on filterpy for a library's tissues on a tool."""
+    bank = FilterpyBank.from_tool(tool, library)
+    return BankIdentifier(bank, BankEvidence(bank, library, settings), 1.0 / tool.board.sample_rate_hz)

@@ -109,7 +109,9 @@ def build_bank_inputs(run: SineRun) -> tuple[ContactStart, np.ndarray]:
     return ContactStart(samples[0], initial_compression_m=0.0, initial_compression_sd_m=1e-12), samples[1:]
 
 
-def run_paper_filters(run: SineRun, guess: np.ndarray, mass_kg: float, conditioning: ConditioningSettings):
+def run_paper_filters(
+    run: SineRun, guess: np.ndarray, mass_kg: float, conditioning: ConditioningSettings
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Run the paper's filters from guesses (K, 3) on the 10 Hz signals.
 
     Returns:

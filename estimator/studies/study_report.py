@@ -1,6 +1,5 @@
 """A study's result: figures with their targets, tables and plots, as one self-contained HTML page and as JSON."""
 
-import html
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -8,16 +7,9 @@ from typing import Any
 
 import plotly.graph_objects as go
 import plotly.io
+from markupsafe import Markup
 
-from estimator.studies.html_page import (
-    Table,
-    TrustedHtml,
-    format_value,
-    render_page,
-    render_paragraphs,
-    render_table,
-    to_json_value,
-)
+from estimator.studies.html_page import Table, format_value, render_template, to_json_value
 
 # Okabe and Ito's palette, as on the dashboard
 TISSUE_COLORS = {
@@ -93,27 +85,30 @@ class StudyResult:
 
     def render_page(self) -> str:
         """Return the report as one self-contained HTML page."""
-        bodies = [_render_figures_table(self.figures)]
+        parts: list[Table | dict[str, str]] = [_build_figures_table(self.figures)]
         first = True
         for part in self.parts:
             if isinstance(part, Table):
-                bodies.append(render_table(part))
+                parts.append(part)
                 continue
             title, figure = part
             figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 30, "b": 50}, height=420)
             plot = plotly.io.to_html(figure, full_html=False, include_plotlyjs=first, config={"displaylogo": False})
-            bodies.append(f"<h2>{html.escape(title)}</h2>{plot}")
+            parts.append({"title": title, "plot": Markup(plot)})
             first = False
-        asked = ", ".join(f"{key} {format_value(value)}" for key, value in self.settings.items())
-        above = f'<p class="settings">{html.escape(asked)}</p>{render_paragraphs(self.explanation)}'
-        return render_page(self.title, above + "".join(bodies), kind="Graspwatch study")
+        return render_template(
+            "study.html.jinja",
+            kind="Graspwatch study",
+            title=self.title,
+            settings=self.settings,
+            explanation=self.explanation,
+            parts=parts,
+        )
 
 
-def _render_figures_table(figures: list[KeyFigure]) -> str:
-    words = {True: "reached", False: '<span class="missed">not reached</span>', None: ""}
+def _build_figures_table(figures: list[KeyFigure]) -> Table:
+    words = {True: "reached", False: Markup('<span class="missed">not reached</span>'), None: ""}
     content = [
-        [f.name, f"{format_value(f.value)} {f.unit}".rstrip(), f.floor, TrustedHtml(words[f.reached]), f.note]
-        for f in figures
+        [f.name, f"{format_value(f.value)} {f.unit}".rstrip(), f.floor, words[f.reached], f.note] for f in figures
     ]
-    columns = ["Figure", "Measured", "To reach", "Reached?", "Note"]
-    return render_table(Table("Figures", columns, content))
+    return Table("Figures", ["Figure", "Measured", "To reach", "Reached?", "Note"], content)

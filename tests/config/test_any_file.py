@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tomli_w
+import tomlkit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -85,7 +85,7 @@ def test_any_value_in_any_place_is_taken_or_told(tmp_path: Path, chance: st.Data
             new_key = chance.draw(st.sampled_from([last, last, last, f"{last}_", ""]))
             inside[new_key] = chance.draw(VALUES)
     path = tmp_path / "any.toml"
-    path.write_text(tomli_w.dumps(content), encoding="utf-8")
+    path.write_text(tomlkit.dumps(content), encoding="utf-8")
     match load(folder, path):
         case GraspProtocol() as protocol:
             try:
@@ -134,6 +134,6 @@ def test_a_frequency_beyond_all_measure_is_no_motor_command(tmp_path: Path) -> N
     path = tmp_path / "fast.toml"
     content = tomllib.loads((CONFIG_DIR / "protocols" / "sine.toml").read_text())
     content["waveform"] |= {"then_hz": 1e308, "then_cycles": 10**308}
-    path.write_text(tomli_w.dumps(content))
+    path.write_text(tomlkit.dumps(content))
     with pytest.raises(RefusedError, match="gives no motor command"):
         command_cycle(load_grasp_protocol(str(path)), TOOL)

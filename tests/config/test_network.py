@@ -101,7 +101,8 @@ def test_nothing_is_left_out_of_any_text(text: str) -> None:
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "127.8.9.1", "::1", "[::1]"])
 def test_what_listens_on_loopback_is_reached_from_here_alone(host: str) -> None:
-    assert is_loopback(host) and is_this_computer(host)
+    assert is_loopback(host)
+    assert is_this_computer(host)
 
 
 @pytest.mark.parametrize(
@@ -148,4 +149,5 @@ def test_what_listens_elsewhere_or_may_do_so_needs_tokens(host: str) -> None:
     ],
 )
 def test_other_computers_are_not_this_one(host: str) -> None:
-    assert not is_loopback(host) and not is_this_computer(host)
+    assert not is_loopback(host)
+    assert not is_this_computer(host)

@@ -16,11 +16,13 @@ import urllib.request
 from pathlib import Path
 
 READY_S = 90.0
+UNVERIFIED = ssl.create_default_context()
+UNVERIFIED.check_hostname, UNVERIFIED.verify_mode = False, ssl.CERT_NONE
 
 
 def is_ready(url: str) -> bool:
     try:
-        with urllib.request.urlopen(f"{url}/api/health", timeout=2.0, context=ssl._create_unverified_context()):
+        with urllib.request.urlopen(f"{url}/api/health", timeout=2.0, context=UNVERIFIED):
             return True
     except (urllib.error.URLError, OSError):
         return False

@@ -1,5 +1,7 @@
-"""Requests of all kinds, made up from the API's own description, by nobody and by each role: no failure inside, and
-nobody beyond his rights."""
+"""Requests of all kinds, made up from the API's own description, by nobody and by each role.
+
+None fails inside, and nobody gets beyond their rights.
+"""
 
 import pytest
 import schemathesis

@@ -66,7 +66,7 @@ def followed(bank, samples):
 
 
 @pytest.mark.parametrize(
-    "sensed, jump_m",
+    ("sensed", "jump_m"),
     [(True, 0.0), (False, 0.0), (True, 1e-4)],
     ids=["contact sensed", "contact found from the force", "a jump"],
 )

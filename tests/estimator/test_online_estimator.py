@@ -128,7 +128,9 @@ def test_what_the_wall_taught_is_taken_back():
     assert np.isnan(rows["alpha_n"][known + 5 :]).all()
 
 
-@pytest.mark.parametrize("pressed_m, is_empty", [(0.8 * EMPTY_JAWS_TRAVEL_M, True), (1.5 * EMPTY_JAWS_TRAVEL_M, False)])
+@pytest.mark.parametrize(
+    ("pressed_m", "is_empty"), [(0.8 * EMPTY_JAWS_TRAVEL_M, True), (1.5 * EMPTY_JAWS_TRAVEL_M, False)]
+)
 def test_jaws_that_shut_right_after_contact_hold_nothing(pressed_m, is_empty):
     samples = held_in("gallbladder")
     contact = np.flatnonzero(samples["contact_tick"] >= 0)[0]

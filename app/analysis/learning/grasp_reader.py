@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.mcap_reader import McapFile
 from acquisition.recordings.recording import RecordingSource, is_mcap
 from acquisition.sample_block import SAMPLE_DTYPE, SampleFlag
-from acquisition.signals.pipeline import ConditioningPipeline
 from config.errors import RecordingError
 from config.schema import Settings, Tool
 from estimator.learning.parameter_fit import fit_parameters, measure_thickness_m
@@ -62,10 +62,5 @@ def _read_samples(path: Path, tool: Tool, settings: Settings, progress: Progress
             f"{tool.name!r}. A library is learned from recordings of one tool: leave this one out, or learn it apart."
         )
     recording.skip_to_run()
-    pipeline, blocks, done = ConditioningPipeline(tool, settings.conditioning), [np.zeros(0, SAMPLE_DTYPE)], 0
-    with recording:
-        while (raw := recording.read_block()) is not None:
-            blocks.append(pipeline.process(raw).samples)
-            done += len(raw)
-            progress(done / recording.sample_count)
-    return np.concatenate(blocks)
+    blocks = read_conditioned_blocks(recording, tool, settings.conditioning, progress)
+    return np.concatenate([np.zeros(0, SAMPLE_DTYPE), *(block.samples for block in blocks)])

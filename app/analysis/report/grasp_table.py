@@ -1,6 +1,9 @@
 """The table of all grasps: verdict, probability, time to decision, parameters and warnings."""
 
-import html
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
 
 from app.analysis.report.recording_analyzer import AnalyzedRecording
 from app.analysis.report.report import Report
@@ -9,7 +12,6 @@ from app.analysis.report.statistics import Observation
 from app.analysis.report.tissue_styles import TissueStyle
 from estimator.decision import UNDECIDED
 from estimator.estimate_block import GraspRecord
-from estimator.studies.html_page import TEXT_CLASS_ATTRIBUTE, TrustedHtml, render_rows
 
 COLUMNS = [
     "grasp",
@@ -31,45 +33,43 @@ COLUMNS = [
 ]
 TEXT_COLUMNS = {"force", "start, s", "verdict", "probability", "warnings", "remarks"}
 
+# Texts that are put into these are escaped.
+BUTTON = Markup('<button type="button" data-grasp="{}" aria-label="Grasp {} of {}">{}</button>')
+VERDICT = Markup('<span class="mark" style="background: {}; color: {}">{}</span> {}')
 
-def render_grasp_table(report: Report, drawn_count: int) -> str:
-    """Render the table as HTML; the first `drawn_count` grasps have a button that draws them."""
-    parts, number = [], 0
+
+@dataclass(frozen=True, slots=True)
+class GraspTable:
+    """The table's columns, those of them that hold words, and each recording's title with its rows."""
+
+    columns: list[str]
+    text_columns: set[str]
+    groups: list[tuple[str, list[list[Any]]]]
+
+
+def build_grasp_table(report: Report, drawn_count: int) -> GraspTable:
+    """Build the table; the first `drawn_count` grasps have a button that draws them."""
+    groups, number = [], 0
     for analyzed in report.recordings:
         own = [(record, observation) for told_by, record, observation in report.grasps if told_by is analyzed]
         most_n = max((record.peak_force_n or 0.0 for record, _ in own), default=0.0)
-        lines = []
+        rows = []
         for record, observation in own:
-            button = f'data-grasp="{number}" aria-label="Grasp {record.index} of {html.escape(analyzed.title)}"'
-            name = (
-                f'<button type="button" {button}>{record.index}</button>' if number < drawn_count else str(record.index)
-            )
-            lines.append([TrustedHtml(name), *_render_cells(report, analyzed, record, observation, most_n)])
+            name = BUTTON.format(number, record.index, analyzed.title, record.index)
+            heading = name if number < drawn_count else record.index
+            rows.append([heading, *_build_cells(report, analyzed, record, observation, most_n)])
             number += 1
-        if len(report.recordings) > 1:
-            title = html.escape(analyzed.title)
-            parts.append(f'<tr><th scope="rowgroup" colspan="{len(COLUMNS)}">{title}</th></tr>')
-        parts.append(render_rows(lines))
-    head = "".join(
-        f'<th scope="col"{TEXT_CLASS_ATTRIBUTE if name in TEXT_COLUMNS else ""}>{html.escape(name)}</th>'
-        for name in COLUMNS
-    )
-    return (
-        '<div class="grasps" tabindex="0" role="group" aria-label="All grasps"><table><caption>Convergence and force '
-        "error are of the filter of what was held. Dashed in the force: the limit that the limiter enforced; no line "
-        "and no share of it where the recording does not say it.</caption>"
-        f"<thead><tr>{head}</tr></thead><tbody>{''.join(parts)}</tbody></table></div>"
-    )
+        groups.append((analyzed.title, rows))
+    return GraspTable(COLUMNS, TEXT_COLUMNS, groups)
 
 
-def _render_cells(
+def _build_cells(
     report: Report, recording: AnalyzedRecording, record: GraspRecord, observation: Observation, max_force_n: float
-) -> list:
+) -> list[Any]:
     traces = recording.grasp_traces(record)
-    drawn = render_sparkline(traces["tick"], traces["jaw_force_filtered_n"], traces["limit_n"], max_force_n)
     decided, moved = record.time_to_decision_s, record.peak_displacement_m
     return [
-        TrustedHtml(drawn),
+        render_sparkline(traces["tick"], traces["jaw_force_filtered_n"], traces["limit_n"], max_force_n),
         f"{record.start_s:.3f}",
         _render_verdict(report.tissue_styles[record.label]),
         _format_percent(record.probability),
@@ -87,11 +87,8 @@ def _render_cells(
     ]
 
 
-def _render_verdict(tissue_style: TissueStyle) -> TrustedHtml:
-    style = f"background: {tissue_style.color}; color: {tissue_style.text_color}"
-    return TrustedHtml(
-        f'<span class="mark" style="{style}">{tissue_style.abbreviation}</span> {html.escape(tissue_style.title)}'
-    )
+def _render_verdict(tissue_style: TissueStyle) -> Markup:
+    return VERDICT.format(tissue_style.color, tissue_style.text_color, tissue_style.abbreviation, tissue_style.title)
 
 
 def _format_percent(share: float | None) -> str | None:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.file_names import to_printable
 from acquisition.recordings.recording import RecordingSource
 from acquisition.sample_block import SampleBlock
-from acquisition.signals.pipeline import ConditioningPipeline
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_block import EstimateBlock, GraspRecord, LabelWithdrawal, finite_or_none
 from estimator.force_alarms import ForceAlarm
@@ -130,11 +130,8 @@ def analyze_recording(
     """Process a recording by conditioning, estimation and identification, and collect the results."""
     tool = recording.tool
     translator = RecordingAnalyzer(title, tool, library, settings, recording.sample_count)
-    pipeline = ConditioningPipeline(tool, settings.conditioning)
-    with recording:
-        while (raw := recording.read_block()) is not None:
-            translator.process(pipeline.process(raw))
-            progress(translator.rows / recording.sample_count)
+    for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
+        translator.process(block)
     about = recording.mcap_file.metadata if recording.mcap_file else {}
     facts = _collect_facts(recording.path, about)
     if recording.remarks:

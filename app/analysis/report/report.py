@@ -1,6 +1,5 @@
 """A report of one or several recordings, and its JSON document."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -178,17 +177,3 @@ def _make_titles(files: Sequence[Path]) -> dict[Path, str]:
     """Return file names as titles, or paths where names are the same."""
     names = [path.name for path in files]
     return {path: to_printable(path.name if names.count(path.name) == 1 else str(path)) for path in files}
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file whole or not at all.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)

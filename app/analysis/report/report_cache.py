@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app import __version__
+from app.host.atomic_write import write_atomically
 from app.host.background_process import SendMessage, run_in_background_process
 from config.errors import RecordingError, RefusedError
 from config.schema import Settings, TissueLibrary, Tool
@@ -123,7 +124,7 @@ def build_report(
         OSError: the page cannot be written.
     """
     from app.analysis.report.page import render_report_page  # a slow import
-    from app.analysis.report.report import analyze_recordings, read_common_configuration, write_atomically
+    from app.analysis.report.report import analyze_recordings, read_common_configuration
 
     told = 0.0
 

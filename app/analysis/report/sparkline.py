@@ -1,18 +1,19 @@
 """A grasp's force as a line of a word's size, drawn without a script."""
 
 import numpy as np
+from markupsafe import Markup
 
 from app.analysis.report.downsampling import TimeGrid
 
 WIDTH_PX, HEIGHT_PX, MAX_POINTS = 130, 34, 70
 
 
-def render_sparkline(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray, max_force_n: float) -> str:
+def render_sparkline(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray, max_force_n: float) -> Markup:
     """Render a force, N, (n,) at `ticks` as SVG, `max_force_n` high; the limit enforced last is dashed."""
     grid = TimeGrid.from_ticks(ticks, MAX_POINTS)
     points = grid.downsample(ticks, force_n)
     if not np.isfinite(points).any() or max_force_n <= 0:
-        return ""
+        return Markup()
     scale = (HEIGHT_PX - 2) / max_force_n
     x = (np.arange(len(points)) * (WIDTH_PX / max(len(points) - 1, 1))).tolist()
     y = (HEIGHT_PX - 1 - np.clip(points, 0, max_force_n) * scale).tolist()
@@ -29,4 +30,5 @@ def render_sparkline(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray
         at = HEIGHT_PX - 1 - told_n[-1] * scale
         limit = f'<path class="limit" d="M0 {at:.1f}H{WIDTH_PX}"/>'
     curve = f'<path d="{"".join(path)}"/>'
-    return f'<svg class="spark" viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" aria-hidden="true">{limit}{curve}</svg>'
+    svg = f'<svg class="spark" viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" aria-hidden="true">{limit}{curve}</svg>'
+    return Markup(svg)  # numbers alone

@@ -75,7 +75,7 @@ class Observation:
 
     @property
     def parameters(self) -> tuple[float, float, float] | None:
-        """alpha N, beta 1/m, d kg/s at the grasp's end; None unless all three are known and positive."""
+        """Parameters alpha N, beta 1/m, d kg/s at the grasp's end; None unless all three are known and positive."""
         values = tuple(getattr(self.record, name) for name in PARAMETERS.values())
         return None if None in values or min(values) <= 0 else values
 

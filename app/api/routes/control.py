@@ -32,8 +32,8 @@ def acquire_control(request: Request, tool_service: ToolService, *, take_over: b
         raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None
     if before != user.name:
         taken = f"Control taken over from {before}" if before else "Control taken"
-        tool_service.publish_event(taken, JournalKind.ACCESS, user.name)
-        tool_service.publish_state()
+        tool_service.publisher.publish_event(taken, JournalKind.ACCESS, user.name)
+        tool_service.state.publish()
 
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])

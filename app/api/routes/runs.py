@@ -64,8 +64,8 @@ async def start_run(request: Request, tool_service: ToolServiceDep, body: Annota
     await _end_demo_and_check_idle(tool_service)
     by = requester_name(request, body.by)
     try:
-        return await tool_service.start_run(
-            protocol, cycles, body.tissue or tool_service.simulated_tissue, by, override
+        return await tool_service.run_controller.start(
+            protocol, cycles, body.tissue or tool_service.runs.simulated_tissue, by, override
         )
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
@@ -89,15 +89,15 @@ def _unmeasured_scale_reason(request: Request, tool_service: ToolService, reason
 async def _end_demo_and_check_idle(tool_service: ToolService) -> None:
     """End a demonstration that is under way, then refuse the start unless the tool is idle."""
     current = tool_service.runs.current
-    if current and tool_service.demo_text:
-        await tool_service.stop_run("the demonstration was ended by a run")
+    if current and tool_service.runs.demo_text:
+        await tool_service.run_controller.stop("the demonstration was ended by a run")
         current = tool_service.runs.current
-    tool_service.demo_text = None
+    tool_service.runs.demo_text = None
     if current:
         raise ProblemError(HTTPStatus.CONFLICT, f"Run {current.id} is under way. Stop it first.")
-    if tool_service.phase is not Phase.IDLE:
+    if tool_service.state.phase is not Phase.IDLE:
         texts = "; ".join(tool_service.alarms.technical_alarm_texts()) or "wait"
-        detail = f"The tool is not ready ({tool_service.phase.value}): {texts}"
+        detail = f"The tool is not ready ({tool_service.state.phase.value}): {texts}"
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail)
 
 
@@ -220,13 +220,13 @@ async def stop(request: Request, tool_service: ToolServiceDep) -> StopAnswer:
 
 async def _stop_motor(request: Request, tool_service: ToolService) -> StopAnswer:
     """Stop the motor before reading the body of the request."""
-    tool_service.demo_text = None
+    tool_service.runs.demo_text = None
     before = tool_service.runs.current
     try:
-        stopped = await tool_service.stop_run("asked to stop", lambda: _read_requester_name(request))
+        stopped = await tool_service.run_controller.stop("asked to stop", lambda: _read_requester_name(request))
     except ServiceError as error:
         detail = f"{error} Switch the motor's amplifier off by hand."
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
     run = tool_service.runs.get(before.id) if before else None
-    tool_service.publish_state()
+    tool_service.state.publish()
     return StopAnswer(stopped=stopped, run=run)

@@ -30,14 +30,14 @@ MAX_PREVIEW_POINTS = 200
 )
 async def health(request: Request, tool_service: ToolServiceDep, response: Response) -> Health:
     """Return the service's health: ready once the filters are compiled and samples arrive."""
-    workers = tool_service.worker_conditions()
-    phase = tool_service.phase
+    workers = tool_service.state.worker_conditions()
+    phase = tool_service.state.phase
     if phase is Phase.FAULTED:
         texts = tool_service.alarms.technical_alarm_texts()
-        status, detail = "faulted", tool_service.internal_error or "; ".join(texts) or "a worker is down"
+        status, detail = "faulted", tool_service.tasks.internal_error or "; ".join(texts) or "a worker is down"
     elif phase is Phase.STARTING:
         texts = tool_service.alarms.technical_alarm_texts()
-        waiting_for = "opening the tool" if tool_service.estimator_ready.is_set() else "preparing the filters"
+        waiting_for = "opening the tool" if tool_service.supervisor.tool_may_open else "preparing the filters"
         status, detail = "starting", "; ".join(texts) or waiting_for
     else:
         status, detail = "ready", phase.value
@@ -100,4 +100,4 @@ async def tissues(tool_service: ToolServiceDep) -> LibraryInfo:
 @router.get("/metrics", dependencies=[require_role(Role.VIEWER)], include_in_schema=False)
 async def metrics(tool_service: ToolServiceDep) -> Response:
     """Return Prometheus metrics."""
-    return Response(tool_service.render_metrics(), media_type="text/plain; version=0.0.4; charset=utf-8")
+    return Response(tool_service.state.render_metrics(), media_type="text/plain; version=0.0.4; charset=utf-8")

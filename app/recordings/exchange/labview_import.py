@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.file_names import check_run_name, remove_recording_suffix, to_printable
 from acquisition.recordings.recording import RecordingSource
-from acquisition.signals.pipeline import ConditioningPipeline
 from app.messages.runs import RunState
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
 from app.recordings.mcap_writer import RECORDED_AT_METADATA, RECORDING_SUFFIX, RecordingContext
@@ -66,13 +66,14 @@ def import_labview(
     run = create_run(name, IMPORTED_PROTOCOL, 1, tissue)
     run = run.model_copy(update={"started_at": _format_utc(started_ns)})
     ended_at = _format_utc(started_ns + round(recording.duration_s * 1e9))
-    with (
-        recording,
-        HeadlessRecorder(
-            path, recording_context, run, started_ns=started_ns, metadata=about, discard_on_error=True
-        ) as file,
-    ):
-        _process_recording(recording, recording_context, file, progress)
+    tool, settings = recording_context.tool, recording_context.settings
+    session = TissueEstimator(tool, recording_context.library, settings)
+    with HeadlessRecorder(
+        path, recording_context, run, started_ns=started_ns, metadata=about, discard_on_error=True
+    ) as file:
+        for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
+            file.append(block, session.process(block))
+        file.add_interrupted_grasp(session.finish())
         file.run = file.run.model_copy(update={"cycles": max(file.run.grasps, 1)})
         file.end_run(RunState.FINISHED, f"imported from {to_printable(source.name)}", ended_at)
     return ImportedLog(path, remarks)
@@ -80,20 +81,3 @@ def import_labview(
 
 def _format_utc(time_ns: int) -> str:
     return datetime.fromtimestamp(time_ns // 1000 / 1e6, UTC).isoformat()
-
-
-def _process_recording(
-    recording: RecordingSource,
-    recording_context: RecordingContext,
-    file: HeadlessRecorder,
-    progress: Callable[[float], None],
-) -> None:
-    pipeline = ConditioningPipeline(recording_context.tool, recording_context.settings.conditioning)
-    session = TissueEstimator(recording_context.tool, recording_context.library, recording_context.settings)
-    done = 0
-    while (raw := recording.read_block()) is not None:
-        block = pipeline.process(raw)
-        file.append(block, session.process(block))
-        done += len(raw)
-        progress(done / recording.sample_count)
-    file.add_interrupted_grasp(session.finish())

@@ -9,8 +9,8 @@ from typing import BinaryIO
 import numpy as np
 from pydantic import BaseModel
 
+from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.sample_block import SampleBlock
-from acquisition.signals.pipeline import ConditioningPipeline
 from app.messages.alarms import Alarm
 from app.messages.grasps import Grasp, GraspEnded, Identification
 from app.recordings.catalog import open_recording
@@ -47,17 +47,21 @@ def build_replay_cache(
     columns = len(build_channels(list(library.tissues)))
     _check_disk_space(folder, 4 * columns * recording.sample_count)
     shown = 0.0
-    with recording, (folder / COLUMNS_FILE).open("wb") as samples, (folder / MESSAGES_FILE).open("wb") as told:
+
+    def report_steps(share: float) -> None:
+        nonlocal shown
+        if share >= shown + PROGRESS_STEP:
+            shown = share
+            send(share)
+
+    with (folder / COLUMNS_FILE).open("wb") as samples, (folder / MESSAGES_FILE).open("wb") as told:
         shape = recording.sample_count, columns
         np.lib.format.write_array_header_1_0(samples, {"descr": "<f4", "fortran_order": False, "shape": shape})
         cache = _ReplayCacheWriter(samples, told, tool, library)
-        pipeline, session = ConditioningPipeline(tool, settings.conditioning), TissueEstimator(tool, library, settings)
-        while (raw := recording.read_block()) is not None:
-            for block in _split_block(pipeline.process(raw)):
+        session = TissueEstimator(tool, library, settings)
+        for whole in read_conditioned_blocks(recording, tool, settings.conditioning, report_steps):
+            for block in _split_block(whole):
                 cache.append(block, session.process(block))
-            if cache.rows >= (shown + PROGRESS_STEP) * recording.sample_count:
-                shown = cache.rows / recording.sample_count
-                send(shown)
         cache.finish(session.finish())
     cache.save_index(folder / INDEX_FILE)
 

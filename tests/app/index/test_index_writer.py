@@ -138,7 +138,7 @@ def test_what_there_is_no_room_for_is_counted_and_told_until_a_rebuild(
         await until(lambda: told)
         break_it(url, broken=False)
         await until(lambda: told[-1] and "graspwatch index --rebuild" in told[-1])
-        await until(lambda: not index._queue.qsize())
+        await until(lambda: not index._queue.qsize())  # noqa: SLF001 - nothing else says that it has read all
 
     index = keep(url, use, tmp_path / BEHIND_MARKER_FILE)
     assert index.dropped_messages + lines_in(url) == 100

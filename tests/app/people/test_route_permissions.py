@@ -33,4 +33,5 @@ def test_what_is_beside_the_routers_is_guarded_or_the_dashboard(plan: ServicePla
     assert open_ones <= {*main.DASHBOARD_PATHS, ""}  # "" is the folder of the dashboard's files
     assert {route.path for route in direct if isinstance(route, Mount)} <= {"", "/static-offline-docs"}
     pages = [route for route in direct if isinstance(route, APIRoute) and route.path in main.DASHBOARD_PATHS]
-    assert pages and all(route.methods == {"GET"} for route in pages)
+    assert pages
+    assert all(route.methods == {"GET"} for route in pages)

@@ -13,7 +13,8 @@ def test_a_token_is_found_by_its_hash_and_stands_nowhere(tmp_path: Path) -> None
     token = add_token(tmp_path, "Ada", Role.ADMIN)
     people = TokenStore(tmp_path)
     found = people.find_by_token(token)
-    assert found and (found.name, found.role) == ("Ada", Role.ADMIN)
+    assert found
+    assert (found.name, found.role) == ("Ada", Role.ADMIN)
     for wrong in ("", token[:-1], token + "x", found.sha256):
         assert people.find_by_token(wrong) is None
     assert stat.S_IMODE((tmp_path / "people.json").stat().st_mode) == 0o600
@@ -35,7 +36,8 @@ def test_a_revoked_token_is_good_for_nothing_and_its_owner_can_have_another(tmp_
     assert people.reload_if_changed()
     found = people.find_by_token(second)
     assert people.find_by_token(first) is None
-    assert found and found.role is Role.VIEWER
+    assert found
+    assert found.role is Role.VIEWER
     assert not people.reload_if_changed()
 
 
@@ -101,7 +103,8 @@ def test_a_file_that_is_gone_lets_nobody_in_either(tmp_path: Path) -> None:
     (tmp_path / "people.json").write_bytes(kept)
     (tmp_path / "people.json").chmod(0o600)
     people.reload_if_changed()
-    assert people.find_by_token(token) and people.fault is None
+    assert people.find_by_token(token)
+    assert people.fault is None
 
 
 def test_the_first_token_closes_a_service_that_had_none(tmp_path: Path) -> None:

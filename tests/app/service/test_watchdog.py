@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from app.service import watchdog
-from app.service.supervisor import WorkerCondition
 from app.service.watchdog import Watchdog
+from app.service.workers import WorkerCondition
 from app.stream.alarms import AlarmManager
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from config.load import load_library, load_settings
+from estimator.baselines.filterpy_reference import build_filterpy_identifier
 from estimator.baselines.identifier import BankIdentifier
 from estimator.baselines.paper_filter import PaperIdentifier
 from estimator.baselines.particle_filter import ParticleIdentifier
@@ -39,6 +40,15 @@ def test_unscented_and_extended_filters_say_the_same_where_the_curve_is_mild(tis
     sd = np.sqrt(np.diag(ours.bank.state.cov[k])[2:5])
     assert (np.abs(ours.bank.state.mean[k, 2:5] - theirs.bank.state.mean[k, 2:5]) < sd).all()
     assert np.allclose(ours.probabilities(), theirs.probabilities(), atol=0.15)
+
+
+def test_the_bank_on_filterpy_gives_the_same_probabilities():
+    """To rounding: it is the same mathematics, written again on another library."""
+    samples, _ = grasp("gallbladder")
+    ours = follow(BankIdentifier.from_tool(LAB.tool, LAB.library, SETTINGS), samples, until=120)
+    theirs = follow(build_filterpy_identifier(LAB.tool, LAB.library, SETTINGS), samples, until=120)
+    assert np.allclose(ours.probabilities(), theirs.probabilities(), rtol=0, atol=1e-6)
+    assert np.allclose(ours.log_parameters(), theirs.log_parameters(), rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("maker", [build_unscented_identifier, ParticleIdentifier])

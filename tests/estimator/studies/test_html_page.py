@@ -2,8 +2,15 @@
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 
-from estimator.studies.html_page import Table, TrustedHtml, format_value, render_page, render_table, to_json_value
+from estimator.studies.html_page import Table, format_value, render_template, to_json_value
+
+
+def render(parts: list[Table]) -> str:
+    return render_template(
+        "study.html.jinja", kind="Graspwatch test", title="A < B", settings={}, explanation="", parts=parts
+    )
 
 
 @pytest.mark.parametrize(
@@ -25,9 +32,8 @@ def test_a_value_is_told_with_three_digits_or_those_before_the_point(value, told
 
 
 def test_words_are_escaped_and_stand_to_the_left_below_their_heading():
-    told = render_table(
-        Table("<A & B>", ["what <", "n", "how"], [["<i>", 1.0, None], ["b", 2.0, TrustedHtml("<b>bold</b>")]])
-    )
+    rows = [["<i>", 1.0, None], ["b", 2.0, Markup("<b>bold</b>")]]
+    told = render([Table("<A & B>", ["what <", "n", "how"], rows)])
     assert "<h2>&lt;A &amp; B&gt;</h2>" in told
     assert '<th scope="row">&lt;i&gt;</th><td>1</td><td>–</td>' in told
     assert '<td class="words"><b>bold</b></td>' in told
@@ -36,8 +42,8 @@ def test_words_are_escaped_and_stand_to_the_left_below_their_heading():
 
 
 def test_a_document_allows_nothing_from_elsewhere_and_says_what_made_it():
-    page = render_page("A < B", "", kind="Graspwatch test")
-    assert "default-src &#x27;none&#x27;" in page
+    page = render([])
+    assert 'http-equiv="Content-Security-Policy" content="default-src &#39;none&#39;; ' in page
     assert '<meta name="generator" content="Graspwatch test">' in page[:300]
     assert "<title>A &lt; B</title>" in page
 

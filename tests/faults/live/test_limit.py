@@ -73,8 +73,10 @@ def test_the_limit_in_stream_and_file_is_the_limiters_own_also_while_it_rises_an
 
 
 def _recomputed(log, recorded):
-    """By the first tick of a block: the limit under which it was taken, from a limiter of our own that hears the same
-    words; the service's own agrees. And the ticks at which it was told a threshold."""
+    """Return each block's limit by its first tick, and the ticks at which a threshold arrived.
+
+    The limit is that of a limiter of our own, which receives the same messages; the service's own agrees.
+    """
     limiter = ForceLimiter(load_tool("simulated"), LIBRARY, SETTINGS.limiter)
     samples, enforced, told = recorded.samples, {}, []
     for line in log.read_text().splitlines():

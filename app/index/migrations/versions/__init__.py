@@ -1,0 +1,1 @@
+"""The revisions of the index, oldest first by their numbers."""

@@ -220,9 +220,9 @@ def edited(folder: Path, tmp_path: Path, edit) -> str:
     content = tomllib.loads((folder / "library.toml").read_text())
     edit(content)
     path = tmp_path / "edited.toml"
-    import tomli_w
+    import tomlkit
 
-    path.write_text(tomli_w.dumps(content))
+    path.write_text(tomlkit.dumps(content))
     with pytest.raises(ConfigurationError) as caught:
         load_library(str(path))
     return str(caught.value)

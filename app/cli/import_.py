@@ -1,11 +1,11 @@
-"""`graspwatch import` and `graspwatch export`."""
+"""`graspwatch import`: LabVIEW logs into the data folder."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from acquisition.recordings.file_names import has_recording_suffix, to_printable
+from acquisition.recordings.file_names import to_printable
 from app.cli.console import print_error, print_note
 from app.cli.journaled import journal_local_command
 from app.cli.options import (
@@ -16,8 +16,7 @@ from app.cli.options import (
     ProgressBar,
     prepare_data_folder,
 )
-from app.recordings.exchange.export_formats import ExportFormat
-from config.errors import ConfigurationError, GraspwatchError, RecordingError
+from config.errors import ConfigurationError, GraspwatchError
 from config.load import load_library, load_settings, load_tool
 from config.tissue_names import normalize_tissue_name
 
@@ -72,44 +71,3 @@ def import_(
         raise next(iter(failed.values())).__class__(
             f"{len(failed)} of {len(files)} files were not imported: {names}. The message of each says why."
         )
-
-
-def export(
-    run: Annotated[str, typer.Argument(metavar="RUN|FILE", help="Id of a run of the data folder, or an .mcap file.")],
-    export_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where to; default: the run's name in this folder.")
-    ] = None,
-    config: ConfigOption = None,
-    data: DataOption = None,
-) -> None:
-    """Write a recorded run for other programs: every sample with its estimates, and every grasp.
-
-    Example: graspwatch export 20261127-101500-001 --format parquet
-    """
-    source = find_recording_file(run, config, data)
-    from app.recordings.exchange.export import export_run as write
-
-    for path in write(source, out or Path(f"{source.stem}.{export_format.value}"), export_format):
-        print(path)
-
-
-def find_recording_file(run: str, config: Path | None, data: Path | None) -> Path:
-    """Find the file of a run by its path or, in the data folder, by its id.
-
-    Raises:
-        RecordingError: there is no such recording.
-    """
-    named = Path(run)
-    if named.suffix.lower() == ".mcap" or named.exists():
-        return named
-    if has_recording_suffix(run):
-        raise RecordingError(f"{run}: there is no such file. Check the path.")
-    folder = prepare_data_folder(data, load_settings(config)) / "recordings"
-    path = folder / f"{run}.mcap"
-    if not path.is_file():
-        raise RecordingError(f"There is no recording of a run {run!r} in {folder}. Name another folder with --data.")
-    return path
-
-
-COMMANDS = (import_, export)

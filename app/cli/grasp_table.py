@@ -1,0 +1,45 @@
+"""The grasps of a run or recording, as a table or as JSON."""
+
+import json
+from typing import Any
+
+from rich.table import Table
+
+from app.cli.console import create_console
+
+VERDICT_REMARKS = {"unknown": "fits no tissue of the library"}
+
+
+def print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
+    """Print one table a report, or one JSON document of them all."""
+    if as_json:
+        print(json.dumps(documents[0] if len(documents) == 1 else documents, indent=2, allow_nan=False))
+        return
+    console = create_console()
+    for document in documents:
+        console.print(_build_table(document))
+
+
+def _build_table(document: dict[str, Any]) -> Table:
+    title = (
+        f"{document['source']}: {document['samples']} samples in {document['duration_s']:.1f} s, "
+        f"{document['lost_samples']} lost; library {document['library']}; {document['force_scale']}"
+    )
+    table = Table(title=title)
+    for heading in ("Grasp", "Start", "Tissue", "Prob.", "Decided", "Peak"):
+        table.add_column(heading, no_wrap=True)
+    table.add_column("Remark")
+    for grasp in document["grasps"]:
+        probability, decided, peak = grasp["probability"], grasp["time_to_decision_s"], grasp["peak_force_n"]
+        top, share = max(grasp["probabilities"].items(), key=lambda each: each[1])
+        likeliest = f"likeliest: {top.replace('_', ' ')}, {100 * share:.0f} %" if grasp["label"] == "undecided" else ""
+        table.add_row(
+            str(grasp["index"]),
+            f"{grasp['start_s']:.3f} s",
+            grasp["label"].replace("_", " "),
+            "" if probability is None else f"{probability:.0%}",
+            "" if decided is None else f"{decided * 1e3:.0f} ms",
+            "" if peak is None else f"{peak:.2f} N",
+            grasp["why_invalid"] or VERDICT_REMARKS.get(grasp["label"]) or likeliest,
+        )
+    return table

@@ -1,0 +1,78 @@
+"""What live viewers see: samples aligned with their estimates as frames, and messages about grasps."""
+
+from pydantic import BaseModel
+
+from acquisition.sample_block import SampleBlock
+from app.host.clock import monotonic_to_wall_ms, now_ms
+from app.host.logs import LogContext
+from app.messages.grasps import Grasp, GraspEnded, Identification
+from app.service.metrics import Metrics
+from app.service.publisher import Publisher
+from app.service.runs import RunRegistry
+from app.stream.event_translator import EventTranslator
+from app.stream.frames import FrameBuffer
+from app.stream.sample_aligner import SampleAligner
+from config.service_plan import ServicePlan
+from estimator.estimate_block import EstimateBlock
+
+
+class LiveStream:
+    """Stream of frames and of identifications and grasps, to all viewers."""
+
+    def __init__(
+        self, plan: ServicePlan, publisher: Publisher, runs: RunRegistry, metrics: Metrics, log_context: LogContext
+    ) -> None:
+        self._library, self._sample_rate_hz = plan.library, plan.tool.board.sample_rate_hz
+        self.tissues = len(plan.library.tissues)
+        self._publisher, self._runs, self._metrics, self._log_context = publisher, runs, metrics, log_context
+        self._frame_buffer = FrameBuffer(int(plan.settings.server.history_s * self._sample_rate_hz))
+        self._aligner = SampleAligner(self._frame_buffer, self.tissues)
+        self._translator = self._make_translator()
+
+    @property
+    def identification(self) -> Identification | None:
+        """The identification of the grasp under way."""
+        return self._translator.identification
+
+    def add_samples(self, block: SampleBlock) -> None:
+        self._aligner.add_samples(block)
+
+    def add_estimates(self, block: EstimateBlock) -> None:
+        self._aligner.add_estimates(block)
+        self._translator.process(block, now_ms(), monotonic_to_wall_ms(block.t_mono_ns))
+
+    def send_frames(self) -> None:
+        """Send the samples since the last call to the viewers."""
+        self._aligner.align()
+        for frame in self._frame_buffer.cut_frames():
+            self._publisher.viewer_hub.broadcast_frame(frame)
+
+    def history_frames(self) -> list[bytes]:
+        """Return frames with the last seconds of samples."""
+        return self._frame_buffer.history_frames()
+
+    def on_acquisition_restart(self) -> None:
+        """Begin anew after a restart of the acquisition, whose block numbers and ticks begin anew."""
+        self._aligner.reset()
+        self._runs.reset_ticks()
+        self.reset_grasp()
+
+    def reset_grasp(self) -> None:
+        """Forget the grasp under way after a worker died or restarted: no message about its end will come."""
+        self._log_context.grasp = None
+        self._publisher.alarms.end_force_alarm()
+        self._translator = self._make_translator()
+
+    def _make_translator(self) -> EventTranslator:
+        alarms = self._publisher.alarms
+        return EventTranslator(self._library, self._sample_rate_hz, alarms, self._publish, self._on_grasp_ended)
+
+    def _publish(self, message: BaseModel) -> None:
+        if isinstance(message, Identification):
+            self._log_context.grasp = message.grasp if message.in_grasp else None
+        self._publisher.publish(message)
+
+    def _on_grasp_ended(self, grasp: Grasp) -> None:
+        self._metrics.grasps.labels(grasp.label).inc()
+        run_id, grasp = self._runs.add_grasp(grasp, round(grasp.start_s * self._sample_rate_hz))
+        self._publisher.publish(GraspEnded(run_id=run_id, grasp=grasp))
