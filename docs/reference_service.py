@@ -3,7 +3,7 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import typer
 from fastapi import FastAPI
@@ -22,7 +22,7 @@ from app.stream.frames import ESTIMATE_COLUMNS, SAMPLE_COLUMNS, SD_COLUMNS, TISS
 from config.load import CONFIG_DIR
 
 DOCS = Path(__file__).parent
-MESSAGES = ("Hello", "State", "Identification", "GraspEnded", "Alarm", "EventMessage", "ReplayState")
+MESSAGES = tuple(each.__name__ for each in get_args(get_args(live.ServerMessage)[0]))
 ANSWERS = ("FrameReceived", "ReplayControl")
 WRITTEN = "Written by `make reference` from the code; change that instead.\n"
 
