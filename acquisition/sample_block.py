@@ -6,6 +6,7 @@ from enum import IntFlag
 import numpy as np
 
 from acquisition.safety_state_machine import Safety
+from acquisition.signal_table import SIGNALS
 
 
 class SampleFlag(IntFlag):
@@ -23,29 +24,7 @@ class SampleFlag(IntFlag):
     RELEASED = 512  # the force passed the limit: the command is zero until the protocol's next grasp
 
 
-SAMPLE_DTYPE = np.dtype(
-    [
-        ("tick", "i8"),
-        ("strain_v", "f8"),  # as read
-        ("encoder_deg", "f8"),  # as read
-        ("motor_command_v", "f8"),  # read back
-        ("touch_1_v", "f8"),
-        ("touch_2_v", "f8"),
-        ("jaw_force_n", "f8"),  # unfiltered: input of estimator and limiter
-        ("jaw_displacement_m", "f8"),
-        ("newton_per_volt", "f8"),  # derivatives of force and displacement by the strain voltage, for its noise
-        ("metre_per_volt", "f8"),
-        ("jaw_force_filtered_n", "f8"),  # after the Butterworth filter, for display
-        ("jaw_displacement_filtered_m", "f8"),
-        ("tissue_displacement_m", "f8"),  # since contact; NaN before contact
-        ("limit_n", "f8"),  # limit that the limiter enforced at this sample; NaN without one
-        ("grasp", "i8"),  # 1, 2, ...; 0 before the first
-        ("grasp_start_tick", "i8"),  # tick at which the command left zero; -1 before the first grasp
-        ("contact_tick", "i8"),  # -1 before contact
-        ("wall_tick", "i8"),  # tick at which the jaws were shut; -1 before
-        ("flags", "u2"),
-    ]
-)
+SAMPLE_DTYPE = np.dtype([(signal.name, signal.dtype) for signal in SIGNALS])
 
 
 def field_names(dtype: np.dtype) -> tuple[str, ...]:

@@ -98,6 +98,9 @@ class Channels(ConfigModel):
     """Counter with the quadrature encoder."""
     motor_command: str = "ao0"
     """Motor command to the amplifier."""
+    other: dict[Slug, str] = Field(default_factory=dict, exclude_if=lambda other: not other)
+    """Further analog inputs by signal, e.g. `{ motor_current_v = "ai4" }`; the signals are in
+    `acquisition/signal_table.py`."""
     analog_range_v: Positive = 10.0
     """Input range of ± this, V; one of the board's ranges."""
 

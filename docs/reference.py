@@ -94,6 +94,8 @@ def _one(prop: dict[str, Any], schema: dict[str, Any]) -> str:
         many = f" of {len(prop['prefixItems'])}" if "prefixItems" in prop else ""
         return f"list{many}: {_one(items, schema)}"
     if prop["type"] == "object":
+        if "patternProperties" in prop:
+            return f"table: {_one(next(iter(prop['patternProperties'].values())), schema)} by name"
         return "table, see below" if "properties" in prop else "tables, see below"
     words = {"string": "day" if prop.get("format") == "date" else "text", "number": "number", "integer": "whole number"}
     bounds = [f"{word} {prop[key]:g}" for key, word in BOUNDS.items() if key in prop]

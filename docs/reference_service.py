@@ -3,7 +3,7 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import typer
 from fastapi import FastAPI
@@ -11,16 +11,18 @@ from fastapi.routing import APIWebSocketRoute
 from typer.cli import get_docs_for_click
 from typer.main import get_command
 
+from acquisition.signal_table import SIGNALS
 from app.api.app import ROUTERS
 from app.cli import main
 from app.messages import live
 from app.messages.json_schema import HEADER_FIELDS, build_schema, describe_frame_layout
 from app.people.route_permissions import collect_route_permissions
 from app.service.metrics import Metrics
+from app.stream.frames import ESTIMATE_COLUMNS, SAMPLE_COLUMNS, SD_COLUMNS, TISSUE_COLUMNS
 from config.load import CONFIG_DIR
 
 DOCS = Path(__file__).parent
-MESSAGES = ("Hello", "State", "Identification", "GraspEnded", "Alarm", "EventMessage", "ReplayState")
+MESSAGES = tuple(each.__name__ for each in get_args(get_args(live.ServerMessage)[0]))
 ANSWERS = ("FrameReceived", "ReplayControl")
 WRITTEN = "Written by `make reference` from the code; change that instead.\n"
 
@@ -114,6 +116,21 @@ def stream() -> str:
         f"`{frame['magic']}`, kinds {kinds}; then the columns.\n"
     )
     parts += ["| field | byte |", "|---|---|", *(f"| `{name}` | {frame['offsets'][name]} |" for name in HEADER_FIELDS)]
+    parts.append("\n## The channels\n\nThe columns of a frame, as `Hello.channels` lists them. NaN: no value.\n")
+    parts += ["| channel | unit | what it is |", "|---|---|---|"]
+    for about, columns in (("", SAMPLE_COLUMNS | ESTIMATE_COLUMNS), (", for each tissue", TISSUE_COLUMNS | SD_COLUMNS)):
+        parts += [f"| `{name}` | {unit} | {meaning}{about} |" for name, (unit, meaning) in columns.items()]
+    parts.append(
+        "\n## The signals of a recording\n\nThe rows `/raw` and `/conditioned` of a recording "
+        "([recordings](../recordings.md)) and the columns of an export, from `acquisition/signal_table.py`. NaN: no "
+        "value.\n"
+    )
+    parts += ["| signal | unit | type | source | row, field | what it is |", "|---|---|---|---|---|---|"]
+    for each in SIGNALS:
+        rows = [f"{row} {number}" for row, number in (("raw", each.raw), ("conditioned", each.conditioned)) if number]
+        parts.append(
+            f"| `{each.name}` | {each.unit} | `{each.dtype}` | {each.source} | {', '.join(rows)} | {each.meaning} |"
+        )
     return "\n".join(parts) + "\n"
 
 

@@ -26,7 +26,7 @@ class PeakGrasper(SimulatedGrasper):
 
     peak_n = 0.0
 
-    def step(self, command_v: float) -> tuple[float, float, float, float]:
+    def step(self, command_v: float) -> dict[str, float]:
         readings = super().step(command_v)
         self.peak_n = max(self.peak_n, self.force_n)
         return readings

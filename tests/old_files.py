@@ -12,7 +12,7 @@ from acquisition.recordings import mcap_layout
 from acquisition.recordings.protobuf_rows import RowLayout
 
 RAW_BEFORE = RowLayout(
-    "Raw", [column for column in mcap_layout.RAW_LAYOUT.columns if column.name != mcap_layout.LIMIT_COLUMN]
+    "Raw", [column for column in mcap_layout.RAW_LAYOUT.columns if column.name not in mcap_layout.OPTIONAL_COLUMNS]
 )
 
 

@@ -2,6 +2,7 @@
 
 import gzip
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,11 +10,12 @@ import numpy as np
 
 from acquisition.drivers.source import RawBlock
 from acquisition.protocol_player import ProtocolPlayer
-from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.signal_table import SENSOR_SIGNALS
+from acquisition.simulation.grasper import SimulatedGrasper, collect_block
 from config.load import load_grasp_protocol, load_library, load_tool
 from config.schema import GraspProtocol, Tool
 
-SIGNALS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
+SIGNALS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")  # of every tool
 LVM_COLUMNS = ("Dev1/ai0", "Dev1/ai2", "Dev1/ai3", "Dev1/ai1", "Untitled")
 
 
@@ -42,7 +44,7 @@ class WatchedGrasper(SimulatedGrasper):
         super().__init__(*args, **options)
         self.forces_n: list[float] = []
 
-    def step(self, command_v: float) -> tuple[float, float, float, float]:
+    def step(self, command_v: float) -> dict[str, float]:
         result = super().step(command_v)
         self.forces_n.append(self.force_n)
         return result
@@ -50,15 +52,20 @@ class WatchedGrasper(SimulatedGrasper):
 
 def drive(grasper: SimulatedGrasper, commands_v: Iterable[float]) -> RawBlock:
     """Return one block with a sample for each command; the read-back has no noise."""
-    commands = np.array(list(commands_v), float)
-    strain_v, encoder_deg, touch_1_v, touch_2_v = np.array([grasper.step(float(command)) for command in commands]).T
-    return raw_block(strain_v, encoder_deg, commands, touch_1_v, touch_2_v)
+    commands = [float(command) for command in commands_v]
+    return collect_block([grasper.step(command) for command in commands], commands, first_tick=0)
 
 
 def raw_block(strain_v, encoder_deg=0.0, motor_command_v=0.0, touch_1_v=0.0, touch_2_v=0.0) -> RawBlock:
     """Return a block that begins at tick 0; a number becomes a constant signal."""
-    signals = np.broadcast_arrays(strain_v, encoder_deg, motor_command_v, touch_1_v, touch_2_v)
-    return RawBlock(0, 0, *(np.array(signal, float) for signal in signals))
+    given = np.broadcast_arrays(strain_v, encoder_deg, motor_command_v, touch_1_v, touch_2_v)
+    signals = {name: np.array(signal, float) for name, signal in zip(SIGNALS, given, strict=True)}
+    return RawBlock(0, 0, {each.name: np.full(given[0].shape, np.nan) for each in SENSOR_SIGNALS} | signals)
+
+
+def with_signals(raw: RawBlock, **signals: np.ndarray) -> RawBlock:
+    """Return the block with other signals, by name."""
+    return replace(raw, signals={**raw.signals, **signals})
 
 
 def joined(blocks: Iterable[RawBlock]) -> RawBlock:
@@ -67,7 +74,7 @@ def joined(blocks: Iterable[RawBlock]) -> RawBlock:
     return RawBlock(
         blocks[0].first_tick,
         blocks[0].t_mono_ns,
-        *(np.concatenate([getattr(block, name) for block in blocks]) for name in SIGNALS),
+        {name: np.concatenate([block.signals[name] for block in blocks]) for name in blocks[0].signals},
     )
 
 
@@ -75,7 +82,7 @@ def cut(raw: RawBlock, at: Iterable[int]) -> list[RawBlock]:
     """Cut a block before the given indices."""
     edges = [0, *sorted(index for index in {*at} if 0 < index < len(raw)), len(raw)]
     return [
-        RawBlock(raw.first_tick + begin, 0, *(getattr(raw, name)[begin:end] for name in SIGNALS))
+        RawBlock(raw.first_tick + begin, 0, {name: values[begin:end] for name, values in raw.signals.items()})
         for begin, end in pairwise(edges)
     ]
 
@@ -118,7 +125,7 @@ def lvm_text(raw: RawBlock, columns: tuple[str, ...] = LVM_COLUMNS) -> str:
         zip(LVM_COLUMNS, ("strain_v", "motor_command_v", "touch_1_v", "touch_2_v", "encoder_deg"), strict=True)
     )
     time_s = (raw.first_tick + np.arange(len(raw))) / 1000.0
-    table = np.column_stack([time_s, *(getattr(raw, signal_of[column]) for column in columns)])
+    table = np.column_stack([time_s, *(raw.signals[signal_of[column]] for column in columns)])
     return "\n".join([*head, *("\t".join(f"{value:.6f}" for value in row) for row in table)]) + "\n"
 
 

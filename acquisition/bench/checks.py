@@ -9,6 +9,7 @@ import numpy as np
 
 from acquisition.drivers.nidaq import READ_TIMEOUT_MARGIN_S, BoardInfo
 from acquisition.safety.self_test import MAX_REST_MOTION_DEG, compute_noise_range_v
+from acquisition.signal_table import find_wired_inputs
 from acquisition.signals.grasp_tracker import COMMAND_ON_V
 from config.schema import CALIBRATION_COMMANDS, FORCE_SCALE_KEY, Tool
 
@@ -67,7 +68,7 @@ def check_product(board: BoardInfo, tool: Tool) -> CheckResult:
 def check_channel_settings(board: BoardInfo, tool: Tool) -> CheckResult:
     """Check that the board has the channels and the range that the tool file names."""
     check, named = "channels", tool.channels
-    inputs = (named.strain, named.motor_command_readback, *named.touch)
+    inputs = list(find_wired_inputs(named).values())
     missing = [each for each in inputs if each not in board.analog_inputs]
     missing += [named.motor_command] * (named.motor_command not in board.analog_outputs)
     missing += [named.encoder] * (named.encoder not in board.counters)

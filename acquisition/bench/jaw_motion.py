@@ -38,7 +38,7 @@ class EmptyJaws:
             ToolError: the force is larger than empty jaws can have; the motor is at zero.
         """
         block = self._source.read_block()
-        strain_v = float(np.median(block.strain_v)) - self._rest_v
+        strain_v = float(np.median(block.signals["strain_v"])) - self._rest_v
         if not abs(strain_v) < MAX_STRAIN_V:
             self._source.write_command(0.0)
             raise ToolError(
@@ -55,7 +55,7 @@ class EmptyJaws:
             if written.command_v < CLOSING_COMMAND_V:
                 written = self._source.write_command(min(written.command_v + RAMP_STEP_V, CLOSING_COMMAND_V))
             block = self.read_block()
-            now_deg = float(block.encoder_deg[-1])
+            now_deg = float(block.signals["encoder_deg"][-1])
             is_driven = written.command_v == CLOSING_COMMAND_V and not is_before_command(block, written)
             still = still + 1 if is_driven and abs(now_deg - last_deg) < STANDSTILL_DEG else 0
             last_deg = now_deg
@@ -89,7 +89,7 @@ def concatenate_signals(blocks: list[RawBlock]) -> RawSignals:
     """Return the signals of consecutive blocks as one."""
 
     def of(name: str) -> np.ndarray:
-        return np.concatenate([getattr(block, name) for block in blocks])
+        return np.concatenate([block.signals[name] for block in blocks])
 
     return RawSignals(of("strain_v"), of("motor_command_v"), (of("touch_1_v"), of("touch_2_v")), of("encoder_deg"))
 

@@ -128,10 +128,10 @@ class HardwareCheck:
         samples = self._measure_round_trip(source, jaws)
         means = [tuple(float(each.mean()) for each in (s.readback_v, s.strain_v, s.encoder_deg)) for s in levels]
         read_v, strain_v, encoder_deg = (np.array(column) for column in zip(*means, strict=True))
-        at_zero_v = float(begin.motor_command_v.mean())
+        at_zero_v = float(begin.signals["motor_command_v"].mean())
         yield checks.check_readback(np.array([0.0, *LEVELS_V]), np.array([at_zero_v, *read_v]), tool)
         yield checks.check_round_trip(samples, tool)
-        direction = checks.check_encoder_direction(shut - float(begin.encoder_deg.mean()), tool)
+        direction = checks.check_encoder_direction(shut - float(begin.signals["encoder_deg"].mean()), tool)
         yield direction
         if direction.outcome is CheckOutcome.PASS:
             yield checks.check_encoder_scale(strain_v[:-1], encoder_deg[:-1], tool)
@@ -144,7 +144,7 @@ class HardwareCheck:
         seen_tick = written.earliest_tick
         for _ in range(convert_seconds_to_blocks(0.5, self._tool)):
             block = jaws.read_block()
-            low = np.flatnonzero(block.motor_command_v < LEVELS_V[-1] / 2)
+            low = np.flatnonzero(block.signals["motor_command_v"] < LEVELS_V[-1] / 2)
             seen_tick = block.first_tick + (int(low[0]) if len(low) else len(block))
             if len(low):
                 break

@@ -22,6 +22,7 @@ from nidaqmx.system import Device, System
 
 from acquisition.drivers.command_history import AppliedCommand, SampleCountReading
 from acquisition.drivers.source import RawBlock
+from acquisition.signal_table import SENSOR_SIGNALS, find_wired_inputs
 from config.errors import RefusedError, ToolError
 from config.network import is_this_computer
 from config.schema import Board, Tool
@@ -77,7 +78,10 @@ class NidaqSource:
         self._last_read_ns = 0
         self._block_samples = tool.board.block_samples
         self._timeout_s = self._block_samples / tool.board.sample_rate_hz + READ_TIMEOUT_MARGIN_S
-        self._analog_v = np.empty((4, self._block_samples))
+        self._inputs = find_wired_inputs(tool.channels)
+        self._analog_v = np.empty((len(self._inputs), self._block_samples))
+        absent = {each.name for each in SENSOR_SIGNALS} - {*self._inputs, "encoder_deg"}
+        self._absent_signals = dict.fromkeys(absent, np.full(self._block_samples, np.nan))
         self._encoder_deg = np.empty(self._block_samples)
 
     def __enter__(self) -> Self:
@@ -143,15 +147,14 @@ class NidaqSource:
             raise self._close_with_error(
                 DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, min(got_v, got_deg))
             )
-        analog_v = self._analog_v.copy()
         block = RawBlock(
             first_tick=self._next_tick,
             t_mono_ns=self._last_read_ns,
-            strain_v=analog_v[0],
-            encoder_deg=self._encoder_deg.copy(),
-            motor_command_v=analog_v[1],
-            touch_1_v=analog_v[2],
-            touch_2_v=analog_v[3],
+            signals={
+                **self._absent_signals,
+                **dict(zip(self._inputs, self._analog_v.copy(), strict=True)),
+                "encoder_deg": self._encoder_deg.copy(),
+            },
             lost_samples=self._lost_samples,
             backlog=max(self._sample_count.min_count_at(self._last_read_ns) - self._next_tick - n, 0),
         )
@@ -230,11 +233,9 @@ class NidaqSource:
 
     def _open_analog(self) -> nidaqmx.Task:
         self._analog_task = task = self._new_task()
-        channels = self._tool.channels
-        for name in (channels.strain, channels.motor_command_readback, *channels.touch):
-            task.ai_channels.add_ai_voltage_chan(
-                self._terminal(name), min_val=-channels.analog_range_v, max_val=channels.analog_range_v
-            )
+        range_v = self._tool.channels.analog_range_v
+        for name in self._inputs.values():
+            task.ai_channels.add_ai_voltage_chan(self._terminal(name), min_val=-range_v, max_val=range_v)
         self._configure_sample_clock(task, source="")
         self._check_sample_rate(task.timing.samp_clk_rate)
         self._analog_reader = AnalogMultiChannelReader(task.in_stream)

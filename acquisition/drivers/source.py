@@ -1,6 +1,7 @@
 """The interface of sample sources, which boards and recordings share."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -12,8 +13,9 @@ from acquisition.drivers.command_history import AppliedCommand
 
 @dataclass(frozen=True, slots=True)
 class RawBlock:
-    """Consecutive raw samples as the sensors gave them, each array of shape (n,).
+    """Consecutive raw samples as the sensors gave them.
 
+    `signals` holds an array of shape (n,) for each of SENSOR_SIGNALS, by name; a signal that the tool lacks is NaN.
     `first_tick` counts samples since the source was opened, lost ones included, so that it jumps at a gap;
     `lost_samples` counts those lost right before the block. `limiter_flags` holds the limiter's flags of each sample,
     or of all, and `limit_n` the limit enforced meanwhile, N (NaN: none). `run` names the run, if any. `backlog` counts
@@ -22,11 +24,7 @@ class RawBlock:
 
     first_tick: int
     t_mono_ns: int
-    strain_v: np.ndarray
-    encoder_deg: np.ndarray
-    motor_command_v: np.ndarray
-    touch_1_v: np.ndarray
-    touch_2_v: np.ndarray
+    signals: Mapping[str, np.ndarray]
     lost_samples: int = 0
     limiter_flags: np.ndarray | list[int] | int = 0
     limit_n: np.ndarray | float = math.nan
@@ -34,7 +32,7 @@ class RawBlock:
     backlog: int = 0
 
     def __len__(self) -> int:
-        return len(self.strain_v)
+        return len(self.signals["strain_v"])
 
 
 class SampleSource(Protocol):

@@ -35,8 +35,8 @@ class _Signal(NamedTuple):
 class LabviewLog:
     """The samples of a LabVIEW measurement file.
 
-    `table` has shape (n, 6): time s, strain V, motor command V, touch 1 V, touch 2 V, encoder degrees. `remarks` say
-    what was converted.
+    `table` has shape (n, 2 + inputs): time s, the analog inputs that the tool has in the order of the signal table, V,
+    encoder degrees. `remarks` say what was converted.
     """
 
     path: Path

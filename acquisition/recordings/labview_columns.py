@@ -15,6 +15,7 @@ from acquisition.recordings.labview_header import (
     Segment,
     XColumns,
 )
+from acquisition.signal_table import SENSOR_SIGNALS, find_wired_inputs
 from config.errors import RecordingError
 from config.schema import Tool
 
@@ -65,7 +66,7 @@ class ChannelColumn:
 
 
 def find_columns(path: Path, header: LabviewHeader, segment: Segment, tool: Tool) -> tuple[ChannelColumn, ...]:
-    """Return the columns of strain, command, touch 1, touch 2 and encoder.
+    """Return the columns of the analog inputs that the tool has, in the order of the signal table, and of the encoder.
 
     Raises:
         RecordingError: a column is missing or stands twice, or the header states a unit or times that cannot be
@@ -82,17 +83,13 @@ def find_columns(path: Path, header: LabviewHeader, segment: Segment, tool: Tool
 
 def _list_channels(tool: Tool) -> tuple[_Channel, ...]:
     channels, device = tool.channels, tool.board.device
-    analog = (
-        ("the strain gage", channels.strain),
-        ("the motor command", channels.motor_command_readback),
-        ("touch sensor 1", channels.touch[0]),
-        ("touch sensor 2", channels.touch[1]),
-    )
+    titles = {signal.name: signal.title for signal in SENSOR_SIGNALS}
+    analog = [(titles[name], terminal) for name, terminal in find_wired_inputs(channels).items()]
     is_counter = channels.encoder.casefold().startswith(COUNTER_PREFIX)  # LabVIEW logs it without its name
     encoder = (f"{device}/{channels.encoder}", channels.encoder, *((UNTITLED,) if is_counter else ()))
     return (
         *(_Channel(what, f"{device}/{name}", (f"{device}/{name}", name), _Quantity.VOLTAGE) for what, name in analog),
-        _Channel("the encoder", encoder[-1], encoder, _Quantity.ANGLE),
+        _Channel(titles["encoder_deg"], encoder[-1], encoder, _Quantity.ANGLE),
     )
 
 

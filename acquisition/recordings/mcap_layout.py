@@ -6,7 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from acquisition.recordings.protobuf_rows import Column, RowLayout
-from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag, field_names
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
+from acquisition.signal_table import SIGNALS, sort_by_number
 
 PROFILE = "graspwatch"
 FORMAT_VERSION = 1
@@ -24,26 +25,18 @@ TOOL_ATTACHMENT, LIBRARY_ATTACHMENT, SETTINGS_ATTACHMENT, PROTOCOL_ATTACHMENT, V
 
 RAW_TOPIC, CONDITIONED_TOPIC, ESTIMATES_TOPIC = "/raw", "/conditioned", "/estimates"
 
-SIGNAL_COLUMNS = ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v")
 # Not a function of the signals, so they are recorded.
 LIMITER_FLAGS = SampleFlag.LIMITED | SampleFlag.RELEASED
-LIMIT_COLUMN = "limit_n"  # as the flags, no function of the signals; files of older versions lack it
+_RAW_FIELDS = {"limiter_flags": 7, "lost_samples": 8}  # beside the signals
 
-RAW_LAYOUT = RowLayout(
-    "Raw",
-    [
-        Column("tick", "i8"),
-        *(Column(name) for name in SIGNAL_COLUMNS),
-        Column("limiter_flags", "u4"),
-        Column("lost_samples", "u4"),
-        Column(LIMIT_COLUMN),
-    ],
-)
-CONDITIONED_COLUMNS = tuple(name for name in field_names(SAMPLE_DTYPE) if name not in (*SIGNAL_COLUMNS, LIMIT_COLUMN))
-CONDITIONED_LAYOUT = RowLayout(
-    "Conditioned",
-    [Column(name, "u4" if name == "flags" else SAMPLE_DTYPE[name].str[1:]) for name in CONDITIONED_COLUMNS],
-)
+_TYPE_CODES = {signal.name: signal.dtype.replace("u2", "u4") for signal in SIGNALS} | dict.fromkeys(_RAW_FIELDS, "u4")
+_RAW_NUMBERS = [(signal.raw, signal.name) for signal in SIGNALS] + [(n, name) for name, n in _RAW_FIELDS.items()]
+_CONDITIONED_NUMBERS = [(signal.conditioned, signal.name) for signal in SIGNALS]
+RAW_LAYOUT = RowLayout("Raw", [Column(name, _TYPE_CODES[name]) for name in sort_by_number("raw", _RAW_NUMBERS)])
+CONDITIONED_COLUMNS = sort_by_number("conditioned", _CONDITIONED_NUMBERS)
+CONDITIONED_LAYOUT = RowLayout("Conditioned", [Column(name, _TYPE_CODES[name]) for name in CONDITIONED_COLUMNS])
+RAW_SIGNALS = tuple(signal for signal in SIGNALS if signal.raw is not None)
+OPTIONAL_COLUMNS = {signal.name for signal in RAW_SIGNALS if signal.optional}
 
 
 def raw_columns(block: SampleBlock) -> dict[str, np.ndarray]:
@@ -53,7 +46,7 @@ def raw_columns(block: SampleBlock) -> dict[str, np.ndarray]:
     lost_samples[0] = block.lost_samples
     flags = samples["flags"] & np.uint16(LIMITER_FLAGS)
     of_limiter = {"limiter_flags": flags, "lost_samples": lost_samples}
-    return {name: samples[name] for name in ("tick", *SIGNAL_COLUMNS, LIMIT_COLUMN)} | of_limiter
+    return {signal.name: samples[signal.name] for signal in RAW_SIGNALS} | of_limiter
 
 
 def conditioned_columns(block: SampleBlock) -> Mapping[str, np.ndarray]:
@@ -62,11 +55,10 @@ def conditioned_columns(block: SampleBlock) -> Mapping[str, np.ndarray]:
 
 
 def from_columns(raw: Mapping[str, np.ndarray], conditioned: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return samples of dtype SAMPLE_DTYPE from both kinds of rows; the limit is NaN where the rows lack it."""
+    """Return samples of dtype SAMPLE_DTYPE from both kinds of rows; an optional signal that they lack is NaN."""
     samples = np.empty(len(raw["tick"]), SAMPLE_DTYPE)
-    for name in SIGNAL_COLUMNS:
-        samples[name] = raw[name]
-    samples[LIMIT_COLUMN] = raw.get(LIMIT_COLUMN, math.nan)
+    for signal in RAW_SIGNALS:
+        samples[signal.name] = raw.get(signal.name, math.nan) if signal.optional else raw[signal.name]
     for name in CONDITIONED_COLUMNS:
         samples[name] = conditioned[name]
     return samples

@@ -1,6 +1,7 @@
 """A recording as a sample source: its raw samples, block by block, as the board gave them."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -12,8 +13,9 @@ from pydantic import ValidationError
 from acquisition.drivers.command_history import AppliedCommand
 from acquisition.drivers.source import RawBlock
 from acquisition.recordings.labview import MAX_TIME_STEP_S, LabviewLog, read_labview_log
-from acquisition.recordings.mcap_layout import LIMIT_COLUMN, RAW_LAYOUT, RAW_TOPIC, SIGNAL_COLUMNS, TOOL_ATTACHMENT
+from acquisition.recordings.mcap_layout import OPTIONAL_COLUMNS, RAW_LAYOUT, RAW_TOPIC, TOOL_ATTACHMENT
 from acquisition.recordings.mcap_reader import COPY_AGAIN_TEXT, MAGIC, McapFile
+from acquisition.signal_table import SENSOR_SIGNALS, find_wired_inputs
 from config.errors import RecordingError
 from config.schema import Tool
 
@@ -25,13 +27,13 @@ STEP_SAMPLES = 5  # later stages work in steps that end at ticks that are multip
 class _RecordedSamples:
     """Raw samples of a recording; ticks count from its first sample.
 
-    `signals` has shape (5, n), in the order of SIGNAL_COLUMNS; `limiter_flags` and `limit_n` (N, NaN where not
-    recorded) have shape (n,). `block_ends` are rows behind which a block ended at no multiple of STEP_SAMPLES.
-    `run_ids_by_row` holds the run that begins at a row.
+    `signals` holds an array of shape (n,) for each of SENSOR_SIGNALS, NaN where not recorded; `limiter_flags` and
+    `limit_n` (N, NaN where not recorded) have shape (n,). `block_ends` are rows behind which a block ended at no
+    multiple of STEP_SAMPLES. `run_ids_by_row` holds the run that begins at a row.
     """
 
     ticks: np.ndarray
-    signals: np.ndarray
+    signals: dict[str, np.ndarray]
     limiter_flags: np.ndarray
     limit_n: np.ndarray
     block_ends: np.ndarray
@@ -72,11 +74,12 @@ class RecordingSource:
             assert self.labview_log
             table = self.labview_log.table
             ticks = np.round((table[:, 0] - table[0, 0]) * self.tool.board.sample_rate_hz).astype(np.int64)
-            signals = np.ascontiguousarray(table[:, [1, 5, 2, 3, 4]].T)
+            names = [*find_wired_inputs(self.tool.channels), "encoder_deg"]
+            signals = _complete_signals(dict(zip(names, np.ascontiguousarray(table[:, 1:].T), strict=True)))
             held, limit_n = np.zeros(len(ticks), np.uint16), np.full(len(ticks), np.nan)
             return _RecordedSamples(ticks, signals, held, limit_n, np.zeros(0, np.int64), {})
         rows = self.mcap_file.read_rows(RAW_TOPIC)
-        missing = {column.path for column in RAW_LAYOUT.columns} - set(rows.columns) - {LIMIT_COLUMN}
+        missing = {column.path for column in RAW_LAYOUT.columns} - set(rows.columns) - OPTIONAL_COLUMNS
         if missing:
             raise RecordingError(f"{self.path}: lacks {', '.join(sorted(missing))}: not all that a replay needs.")
         ticks, about = rows.columns["tick"], self.mcap_file.metadata
@@ -89,10 +92,10 @@ class RecordingSource:
             raise RecordingError(f"{self.path}: does not say where its run begins. {COPY_AGAIN_TEXT}") from None
         ends = np.flatnonzero(np.diff(rows.sequence)) + 1
         ends = ends[ticks[ends - 1] % STEP_SAMPLES != STEP_SAMPLES - 1]
-        signals = np.array([rows.columns[name] for name in SIGNAL_COLUMNS])
+        signals = _complete_signals(rows.columns)
         runs = {begins: run_id} if begins < len(ticks) else {}
         limiter = rows.columns["limiter_flags"].astype(np.uint16)
-        limit_n = rows.columns.get(LIMIT_COLUMN, np.full(len(ticks), np.nan))
+        limit_n = rows.columns.get("limit_n", np.full(len(ticks), np.nan))
         return _RecordedSamples(ticks - self.first_tick, signals, limiter, limit_n, ends, runs)
 
     def __enter__(self) -> Self:
@@ -140,7 +143,7 @@ class RecordingSource:
         return RawBlock(
             int(ticks[0]),
             time.monotonic_ns(),
-            *recorded.signals[:, at:end],
+            {name: values[at:end] for name, values in recorded.signals.items()},
             lost_samples=lost,
             limiter_flags=recorded.limiter_flags[at:end],
             limit_n=recorded.limit_n[at:end],
@@ -160,6 +163,12 @@ class RecordingSource:
     def write_command(self, command_v: float) -> AppliedCommand:
         """Ignore the command: a recording has no motor."""
         return AppliedCommand(0.0, 0, 0)
+
+
+def _complete_signals(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the columns of SENSOR_SIGNALS; one that was not recorded is NaN."""
+    missing = np.full(len(columns["strain_v"]), np.nan)
+    return {signal.name: columns.get(signal.name, missing) for signal in SENSOR_SIGNALS}
 
 
 def read_recorded_tool(container: McapFile) -> Tool:

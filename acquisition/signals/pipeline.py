@@ -4,6 +4,7 @@ import numpy as np
 
 from acquisition.drivers.source import RawBlock
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
+from acquisition.signal_table import SENSOR_SIGNALS
 from acquisition.signals.calibration import compute_jaw_signals
 from acquisition.signals.grasp_tracker import BACKDATING_SAMPLES, COMMAND_ON_V, GraspTracker
 from acquisition.signals.low_pass import LowPassFilter
@@ -83,15 +84,16 @@ class ConditioningPipeline:
         if raw.run and raw.run != self._run:
             self._reset()
         self._run = raw.run
-        rest_v = self.tare.update(raw.strain_v, raw.motor_command_v)
+        raw_strain_v, raw_encoder_deg = raw.signals["strain_v"], raw.signals["encoder_deg"]
+        rest_v = self.tare.update(raw_strain_v, raw.signals["motor_command_v"])
         samples = np.zeros(n, SAMPLE_DTYPE)
         samples["tick"] = raw.first_tick + np.arange(n)
-        for name in ("strain_v", "encoder_deg", "motor_command_v", "touch_1_v", "touch_2_v"):
-            samples[name] = getattr(raw, name)
+        for signal in SENSOR_SIGNALS:
+            samples[signal.name] = raw.signals[signal.name]
 
         encoder_zero = self._track_grasp(samples, rest_v)
         both = np.empty((2, 2, n))  # unfiltered and filtered; strain and encoder
-        both[0, 0], both[0, 1] = raw.strain_v, raw.encoder_deg
+        both[0, 0], both[0, 1] = raw_strain_v, raw_encoder_deg
         both[1] = self._low_pass(both[0])
         strain_v, encoder_deg = both[:, 0] - rest_v, both[:, 1] - encoder_zero
         jaw = compute_jaw_signals(self._tool, strain_v, encoder_deg)
@@ -102,7 +104,7 @@ class ConditioningPipeline:
         samples["flags"] |= np.where(jaw.valid[1], NO_FLAGS, FILTERED_INVALID)
         samples["flags"] |= np.asarray(raw.limiter_flags, np.uint16)
         samples["limit_n"] = raw.limit_n
-        samples["flags"] |= np.where(np.abs(raw.strain_v) < self._saturated_v, NO_FLAGS, SATURATED)
+        samples["flags"] |= np.where(np.abs(raw_strain_v) < self._saturated_v, NO_FLAGS, SATURATED)
         samples["tissue_displacement_m"] = self._compute_tissue_displacement(samples)
 
         self._sequence += 1

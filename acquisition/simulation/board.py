@@ -6,10 +6,12 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum, auto
+from operator import itemgetter
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from nidaqmx.error_codes import DAQmxErrors
 
+from acquisition.signal_table import find_wired_inputs
 from config.schema import Tool
 
 
@@ -41,11 +43,14 @@ class VirtualClock:
         self._now_ns = max(self._now_ns, int(wake_ns))
 
 
+SensorReadings = dict[str, float]  # V or degrees, by signal
+
+
 class Plant(Protocol):
     """Simulated hardware at the simulated board: motor, sensors, and what the jaws hold."""
 
-    def step(self, command_v: float) -> tuple[float, float, float, float]:
-        """Simulate a sample period under a command, V; return strain V, encoder degrees, touch 1 V, touch 2 V."""
+    def step(self, command_v: float) -> SensorReadings:
+        """Simulate a sample period under a command, V; return the encoder's angle and the inputs but the read-back."""
         ...
 
 
@@ -76,9 +81,9 @@ class TaskState(Enum):
     OVERRUN = auto()
 
 
-# strain, readback, touch 1, touch 2 in V; encoder in deg; an input that nothing is connected to
-Sample = tuple[float, float, float, float, float, float]
-UNWIRED_COLUMN, UNWIRED_VALUE = 5, 0.0
+# the analog inputs that the tool has, V, in the order of the signal table; encoder, degrees; an input without a wire
+Sample = tuple[float, ...]
+UNWIRED, UNWIRED_V = "unwired", 0.0
 
 # A PCI-6230 has these channels, and makes its sample clock by dividing this timebase.
 ANALOG_INPUTS = tuple(f"ai{n}" for n in range(8))
@@ -130,15 +135,17 @@ class SimulatedBoard:
         self._device, self.product = tool.board.device, tool.board.product
         self._buffer_samples = buffer_samples
         self._encoder_resolution_deg = tool.calibration.encoder_resolution_deg
-        wired = tool.channels
+        inputs = find_wired_inputs(tool.channels)
+        self._unwired_v = dict.fromkeys((*inputs, UNWIRED), UNWIRED_V)
+        self._select_sample = itemgetter(*inputs, "encoder_deg", UNWIRED)
         self._channels = {
             ChannelKind.ANALOG_IN: ANALOG_INPUTS,
             ChannelKind.ENCODER: COUNTERS,
             ChannelKind.ANALOG_OUT: ANALOG_OUTPUTS,
         }
-        inputs = (wired.strain, wired.motor_command_readback, *wired.touch, wired.encoder)  # in the order of a Sample
-        self._columns = {name: column for column, name in enumerate(inputs)}
-        self._motor_channel = wired.motor_command
+        wired = (*inputs.values(), tool.channels.encoder)  # in the order of a Sample
+        self._columns = {name: column for column, name in enumerate(wired)}
+        self._motor_channel = tool.channels.motor_command
         self._analog_clock = f"/{self._device}/ai/SampleClock"
         self._analog_start = f"/{self._device}/ai/StartTrigger"
         self._lock = threading.RLock()
@@ -185,7 +192,7 @@ class SimulatedBoard:
         task = self.task(name)
         task.kind = kind
         task.channels.append(physical)
-        task.column_indices.append(self._columns.get(channel, UNWIRED_COLUMN))
+        task.column_indices.append(self._columns.get(channel, len(self._columns)))
         task.drives_motor = channel == self._motor_channel
         return task
 
@@ -380,10 +387,9 @@ class SimulatedBoard:
         clocked = [task for task in self._tasks.values() if task.clocked and task.state is TaskState.RUNNING]
         queues = [task.unread_samples for task in clocked]
         step, command_v = self._plant.step, self._output_v
-        readback_v = self._compute_readback_v(command_v)
+        inputs_v = self._unwired_v | {"motor_command_v": self._compute_readback_v(command_v)}
         for _ in range(min(due, self._buffer_samples + 1)):  # samples after an overrun cannot be read
-            strain_v, encoder_deg, touch_1_v, touch_2_v = step(command_v)
-            sample = (strain_v, readback_v, touch_1_v, touch_2_v, encoder_deg, UNWIRED_VALUE)
+            sample = self._select_sample(inputs_v | step(command_v))
             for queue in queues:
                 queue.append(sample)
         for task in clocked:

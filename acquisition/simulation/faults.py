@@ -7,10 +7,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from acquisition.simulation.board import Plant
+from acquisition.simulation.board import Plant, SensorReadings
 from config.schema import Tool
-
-SensorReadings = tuple[float, float, float, float]
 
 SPIKE_V = 3.0
 JUMP_V = -0.25
@@ -43,7 +41,7 @@ class FaultySensors:
         self._rng = np.random.default_rng([seed, 3])
         self._lock = threading.Lock()
         self._fault: SensorFault | None = None
-        self._last_readings: SensorReadings = (0.0, 0.0, 0.0, 0.0)
+        self._last_readings: SensorReadings = {"strain_v": 0.0, "encoder_deg": 0.0}
         self._frozen_readings: SensorReadings = self._last_readings
         self.sample_count = 0
         self.fault_sample: int | None = None
@@ -73,8 +71,8 @@ class FaultySensors:
             return self._apply_fault(self._last_readings, self._fault)
 
     def _apply_fault(self, sound: SensorReadings, fault: SensorFault) -> SensorReadings:
-        strain_v, encoder_deg, *touch_v = sound
-        stuck_v, stuck_deg, *_ = self._frozen_readings
+        strain_v, encoder_deg = sound["strain_v"], sound["encoder_deg"]
+        stuck_v, stuck_deg = self._frozen_readings["strain_v"], self._frozen_readings["encoder_deg"]
         moved_deg = encoder_deg - stuck_deg
         noise_v = math.sqrt(NOISE_FACTOR**2 - 1.0) * self._tool.noise.strain_sd_v
         is_first = self.sample_count - 1 == self.fault_sample
@@ -94,7 +92,5 @@ class FaultySensors:
             SensorFault.ENCODER_JUMP: lambda: encoder_deg + JUMP_DEG,
         }
         if fault in strain:
-            strain_v = strain[fault]()
-        else:
-            encoder_deg = encoder[fault]()
-        return strain_v, encoder_deg, touch_v[0], touch_v[1]
+            return sound | {"strain_v": strain[fault]()}
+        return sound | {"encoder_deg": encoder[fault]()}

@@ -1,9 +1,12 @@
 """The simulated grasper: motor command in, raw sensor volts and degrees out, one sample a call."""
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from acquisition.drivers.source import RawBlock
+from acquisition.signal_table import SENSOR_SIGNALS
 from acquisition.signals.calibration import compute_jaw_signals, compute_sensor_signals
 from acquisition.simulation.tissue import NO_DEVIATION, Material, ModelDeviation, Specimen, integrate_tissue
 from config.errors import ConfigurationError
@@ -66,8 +69,8 @@ class SimulatedGrasper:
         """Set the tissue of the next grasp."""
         self.tissue = tissue
 
-    def step(self, command_v: float) -> tuple[float, float, float, float]:
-        """Advance one sample with the command held; return strain V, encoder degrees, touch 1 V, touch 2 V."""
+    def step(self, command_v: float) -> dict[str, float]:
+        """Advance one sample with the command held, V; return the sensors' readings, V and degrees, by signal."""
         if command_v != self._command_v:
             self._set_command(command_v)
         self._move_jaws()
@@ -75,7 +78,12 @@ class SimulatedGrasper:
         touch_v = (
             TOUCH_ACTIVE_V if self.in_contact and self.tissue_displacement_m >= self._deviation.touch_late_m else 0.0
         )
-        return self._read_strain(strain_v), self._read_encoder(encoder_deg), touch_v, touch_v
+        return {
+            "strain_v": self._read_strain(strain_v),
+            "encoder_deg": self._read_encoder(encoder_deg),
+            "touch_1_v": touch_v,
+            "touch_2_v": touch_v,
+        }
 
     def _compute_handle_signals(self) -> tuple[float, float]:
         """Return force, N, and displacement, m, as strain gage and encoder sense them through the cable."""
@@ -189,3 +197,10 @@ class SimulatedGrasper:
     @property
     def _pull_v(self) -> float:
         return self.handle_pull_n / self._tool.calibration.newton_per_volt
+
+
+def collect_block(readings: Sequence[Mapping[str, float]], commands_v: Sequence[float], first_tick: int) -> RawBlock:
+    """Return readings under these commands as a block; each command is read back without noise."""
+    signals = dict.fromkeys((signal.name for signal in SENSOR_SIGNALS), np.full(len(commands_v), np.nan))
+    signals |= {name: np.array([each[name] for each in readings]) for name in readings[0]}
+    return RawBlock(first_tick, 0, signals | {"motor_command_v": np.array(commands_v)})

@@ -6,6 +6,7 @@ For a sensor that never worked, use `FaultySensors` with a fault at sample 0.
 import math
 from enum import StrEnum
 
+from acquisition.simulation.board import SensorReadings
 from acquisition.simulation.grasper import TOUCH_ACTIVE_V, SimulatedGrasper
 
 HUM_FREQUENCY_HZ, HUM_AMPLITUDE_V = 50.0, 0.4
@@ -29,13 +30,15 @@ class MiswiredGrasper:
         share = {WiringFault.READBACK_OPEN: 0.0, WiringFault.READBACK_HALVED: 0.5}
         return share.get(self._wiring_fault, 1.0) * command_v
 
-    def step(self, command_v: float) -> tuple[float, float, float, float]:
+    def step(self, command_v: float) -> SensorReadings:
         """Simulate one sample, as `Plant.step`."""
-        strain_v, encoder_deg, *touch_v = self._grasper.step(command_v)
+        readings = self._grasper.step(command_v)
         self._sample_count += 1
         match self._wiring_fault:
             case WiringFault.STRAIN_FLOATS:
-                strain_v += HUM_AMPLITUDE_V * math.sin(2 * math.pi * HUM_FREQUENCY_HZ * self._sample_count / 1000.0)
+                readings["strain_v"] += HUM_AMPLITUDE_V * math.sin(
+                    2 * math.pi * HUM_FREQUENCY_HZ * self._sample_count / 1000.0
+                )
             case WiringFault.TOUCH_STUCK:
-                touch_v = [TOUCH_ACTIVE_V, TOUCH_ACTIVE_V]
-        return strain_v, encoder_deg, touch_v[0], touch_v[1]
+                readings |= {"touch_1_v": TOUCH_ACTIVE_V, "touch_2_v": TOUCH_ACTIVE_V}
+        return readings

@@ -8,12 +8,14 @@ older clients or older files do not bear: see "Versions" in `docs/programs.md`.
 import json
 import re
 import struct
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode
 
+from acquisition.signal_table import SIGNALS
 from app.messages.alarms import AcknowledgeRequest, Alarm
 from app.messages.base import SCHEMA_VERSION, Message, Record, Request
 from app.messages.calibration import Calibration, CalibrationRequest
@@ -105,6 +107,7 @@ def build_schema() -> dict[str, Any]:
         "$defs": _collect_definitions(inputs),
         "x-schema-version": SCHEMA_VERSION,
         "x-frame": describe_frame_layout(),
+        "x-traces": describe_traces(),
     }
 
 
@@ -116,6 +119,11 @@ def build_records_schema() -> dict[str, Any]:
         "description": "Written by `python -m app.messages.json_schema`; change `app/messages/` instead.",
         "$defs": _collect_definitions([(each.__name__, "validation", TypeAdapter(each)) for each in STORED]),
     }
+
+
+def describe_traces() -> list[dict[str, str]]:
+    """Return the lines of the dashboard's charts that the table of signals asks for."""
+    return [{"channel": signal.name, "unit": signal.unit, **asdict(signal.trace)} for signal in SIGNALS if signal.trace]
 
 
 def describe_frame_layout() -> dict[str, Any]:

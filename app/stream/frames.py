@@ -1,33 +1,50 @@
 """Sample frames for browsers: float32 columns at the full rate, cut thirty times a second."""
 
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
+from acquisition.signal_table import SIGNALS, sort_by_number
 from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
 
-SAMPLE_COLUMNS = {
-    "strain_v": "V",
-    "encoder_deg": "deg",
-    "motor_command_v": "V",
-    "jaw_force_n": "N",
-    "jaw_force_filtered_n": "N",
-    "jaw_displacement_m": "m",
-    "jaw_displacement_filtered_m": "m",
-    "tissue_displacement_m": "m",
-    "limit_n": "N",
+
+class FrameColumn(NamedTuple):
+    """Unit and meaning of a column."""
+
+    unit: str
+    meaning: str
+
+
+_BY_NAME = {signal.name: FrameColumn(signal.unit, signal.meaning) for signal in SIGNALS}
+_ORDER = sort_by_number("frame", ((signal.frame, signal.name) for signal in SIGNALS))
+SAMPLE_COLUMNS = {name: _BY_NAME[name] for name in _ORDER}
+ESTIMATE_COLUMNS = {
+    "threshold_n": FrameColumn("N", "Injury threshold in force, for the force alarms"),
+    "probability_unknown": FrameColumn("", "Probability that the tissue is like none of the library"),
 }
-ESTIMATE_COLUMNS = {"threshold_n": "N", "probability_unknown": ""}
-TISSUE_COLUMNS = {"probability": "", "force_n": "N", "alpha_n": "N", "beta_per_m": "1/m", "damping_kg_per_s": "kg/s"}
-SD_COLUMNS = ("log_alpha_sd", "log_beta_sd", "log_damping_sd")  # of the natural logarithms, as in `log_sd`
+TISSUE_COLUMNS = {
+    "probability": FrameColumn("", "Probability of the tissue"),
+    "force_n": FrameColumn("N", "Force of the tissue's model without damping, α(e^(βx) − 1)"),
+    "alpha_n": FrameColumn("N", "Estimated stiffness α"),
+    "beta_per_m": FrameColumn("1/m", "Estimated stiffening β"),
+    "damping_kg_per_s": FrameColumn("kg/s", "Estimated damping d"),
+}
+SD_COLUMNS = {
+    "log_alpha_sd": FrameColumn("", "Standard deviation of log α"),
+    "log_beta_sd": FrameColumn("", "Standard deviation of log β"),
+    "log_damping_sd": FrameColumn("", "Standard deviation of log d"),
+}  # in the order of `log_sd`
 
 
 def build_channels(tissues: list[str]) -> list[ChannelInfo]:
     """Return the columns of a frame in their order."""
-    common = [ChannelInfo(name=name, unit=unit) for name, unit in {**SAMPLE_COLUMNS, **ESTIMATE_COLUMNS}.items()]
-    of_tissue = TISSUE_COLUMNS | dict.fromkeys(SD_COLUMNS, "")
-    each = [ChannelInfo(name=name, unit=unit, tissue=tissue) for tissue in tissues for name, unit in of_tissue.items()]
-    return common + each
+    common, of_tissue = SAMPLE_COLUMNS | ESTIMATE_COLUMNS, TISSUE_COLUMNS | SD_COLUMNS
+    return [ChannelInfo(name=name, unit=column.unit) for name, column in common.items()] + [
+        ChannelInfo(name=name, unit=column.unit, tissue=tissue)
+        for tissue in tissues
+        for name, column in of_tissue.items()
+    ]
 
 
 def build_frame_columns(samples: np.ndarray, estimates: np.ndarray, tissues: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from acquisition.protocol_player import ProtocolPlayer
 from acquisition.safety.force_limiter import ActiveThreshold, ForceLimiter
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
-from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.simulation.grasper import SimulatedGrasper, collect_block
 from config.schema import GraspProtocol, Settings, TissueLibrary, Tool, TrapezoidWaveform
 from estimator.online_estimator import TissueEstimator
 from estimator.studies.limiter_cases import HOLD_S, LimitedCase, ThresholdScenario
@@ -48,10 +48,8 @@ class GrasperSource:
         for _ in range(self._block_samples):
             rows.append(self._grasper.step(self._command_v))
             self.force_n.append(self._grasper.force_n)
-        strain_v, encoder_deg, touch_1_v, touch_2_v = np.array(rows).T
-        command_v = np.full(self._block_samples, self._command_v)
         tick, self._tick = self._tick, self._tick + self._block_samples
-        return RawBlock(tick, 0, strain_v, encoder_deg, command_v, touch_1_v, touch_2_v)
+        return collect_block(rows, [self._command_v] * self._block_samples, tick)
 
     def write_command(self, command_v: float) -> AppliedCommand:
         self._command_v = command_v

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.drivers.source import RawBlock
 from acquisition.protocol_player import ProtocolPlayer
 from acquisition.signals.pipeline import ConditioningPipeline
-from acquisition.simulation.grasper import SimulatedGrasper
+from acquisition.simulation.grasper import SimulatedGrasper, collect_block
 from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation, Specimen
 from config.schema import ConditioningSettings, GraspProtocol, TissueLibrary, Tool
 from estimator.constants import JAW_OPENING_SHARE, MIN_PEAK_BEFORE_OPENING_N
@@ -44,8 +43,7 @@ def simulate_grasp(
     while not player.done:
         commands += [player.next_command(block)] * block
     grasper = SimulatedGrasper(tool, case.tissue_library or library, case.tissue, case.seed, case.deviation)
-    strain_v, encoder_deg, touch_1_v, touch_2_v = np.array([grasper.step(command) for command in commands]).T
-    raw = RawBlock(0, 0, strain_v, encoder_deg, np.array(commands), touch_1_v, touch_2_v)
+    raw = collect_block([grasper.step(command) for command in commands], commands, first_tick=0)
     return SimulatedGrasp(ConditioningPipeline(tool, conditioning).process(raw).samples, grasper.specimen)
 
 

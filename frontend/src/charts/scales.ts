@@ -14,6 +14,8 @@ export interface VerticalScale {
   splits?: (min: number, max: number) => number[];
 }
 
+const short = (value: number): string => Number(value.toPrecision(3)).toString();
+
 /** From just below zero to the next half newton above threshold and data. */
 const force = (hello: Hello): VerticalScale => ({
   logarithmic: false,
@@ -54,10 +56,23 @@ const parameter = (hello: Hello, which: Parameter): VerticalScale => {
   };
 };
 
+/** Zero and all values of the chart of another signal. */
+const linear: VerticalScale = {
+  logarithmic: false,
+  range: (min, max) => {
+    const [low, high] = [Math.min(0, min ?? 0), Math.max(0, max ?? 0)];
+    const margin = 0.06 * (high - low || 1);
+    return [low - margin, high + margin];
+  },
+  label: short,
+  readout: short,
+};
+
 export function verticalScale(chart: string, hello: Hello, which: Parameter): VerticalScale {
   if (chart === "force") return force(hello);
   if (chart === "displacement") return displacement;
-  return chart === "probability" ? probability : parameter(hello, which);
+  if (chart === "probability") return probability;
+  return chart === "parameter" ? parameter(hello, which) : linear;
 }
 
 /** Converts the scale to uPlot's form. */
@@ -66,8 +81,6 @@ export const toUplotScale = (scale: VerticalScale): uPlot.Scale => ({
   distr: scale.logarithmic ? 3 : 1,
   range: (_chart, min, max) => scale.range(min, max),
 });
-
-const short = (value: number): string => Number(value.toPrecision(3)).toString();
 
 function decades(min: number, max: number): number[] {
   const first = Math.round(Math.log10(min));

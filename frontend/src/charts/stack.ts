@@ -1,6 +1,6 @@
 import "uplot/dist/uPlot.min.css";
 import type uPlot from "uplot";
-import { find, setAttribute, setData, setHidden, setText } from "../dom";
+import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { NO_VALUE, fixed } from "../format";
 import type { Model } from "../live/model";
 import type { SampleRing } from "../live/ring";
@@ -22,7 +22,7 @@ const PARAMETERS: Record<Parameter, string> = {
   damping_kg_per_s: "kg/s, damping d",
 };
 
-/** The four strip charts on one time axis. */
+/** The strip charts on one time axis: four, and one for each further chart in the table of signals. */
 export class ChartStack {
   private strips: Strip[] = [];
   private buckets: Buckets | null = null;
@@ -90,6 +90,7 @@ export class ChartStack {
     this.builtFor = { ring, channels: hello.channels };
     for (const strip of this.strips) strip.destroy();
     const specs = plotSpecs(this.model, this.parameter);
+    this.placeFurtherCharts(specs);
     this.legend.rebuild(specs);
     this.strips = specs.map((spec) => this.makeStrip(spec, hello));
     this.rebuildBuckets();
@@ -122,6 +123,21 @@ export class ChartStack {
       setAttribute(button, "aria-pressed", String(button.dataset.parameter === parameter));
     }
     this.rebuild();
+  }
+
+  /** Puts the charts of further signals above that of the probabilities. */
+  private placeFurtherCharts(specs: PlotSpec[]): void {
+    for (const old of this.root.querySelectorAll(".strip.further")) old.remove();
+    const next = find(this.root, "chart-probability").closest(".strip");
+    for (const { id, unit } of specs.filter((spec) => spec.unit !== undefined)) {
+      const strip = create("div", "strip further");
+      const heading = create("h3", "", `${id.charAt(0).toUpperCase()}${id.slice(1)} `);
+      const parts = { lines: create("span", "lines"), readout: create("output", ""), chart: create("div", "plot") };
+      for (const [name, part] of Object.entries(parts)) part.id = `${name}-${id}`;
+      heading.append(create("small", "", unit), parts.lines, parts.readout);
+      strip.append(heading, parts.chart);
+      next?.before(strip);
+    }
   }
 
   private changeView(change: (view: View) => void): void {

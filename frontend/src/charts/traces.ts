@@ -1,5 +1,6 @@
 import { tissueStyles, UNKNOWN_SLOT, type TissueStyle } from "../tissues";
 import type { Model } from "../live/model";
+import { TRACES } from "../wire";
 
 /** One line of a chart: its column and its look. */
 export interface Trace {
@@ -23,19 +24,29 @@ export type Parameter = "alpha_n" | "beta_per_m" | "damping_kg_per_s";
 export interface PlotSpec {
   id: string;
   traces: Trace[];
+  /** Unit in the heading of a chart that only the table of signals knows; the page itself has the other charts. */
+  unit?: string;
 }
 
-const plain = (model: Model, channel: string, key: string, name: string, color: string): Trace => ({
-  column: model.column(channel),
-  key,
-  ofTissue: false,
-  name,
-  mark: "",
-  color,
-  dash: [],
-  sdColumn: -1,
-  scaled: true,
-});
+/** Dashes of the lines of the tool, in the order in which they are drawn; the color is `--line-` and the name. */
+const DASHES: Record<string, number[]> = { raw: [], measured: [], second: [2, 3], limit: [6, 4] };
+const OWN_CHARTS = ["force", "displacement"];
+
+/** Returns the lines of the tool in a chart, in the order in which they are drawn. */
+const ofTool = (model: Model, chart: string): Trace[] =>
+  Object.entries(DASHES).flatMap(([line, dash]) =>
+    TRACES.filter((trace) => trace.chart === chart && trace.line === line).map(({ channel, label }) => ({
+      column: model.column(channel),
+      key: line,
+      ofTissue: false,
+      name: label,
+      mark: line === "limit" ? label : "",
+      color: `--line-${line}`,
+      dash,
+      sdColumn: -1,
+      scaled: true,
+    })),
+  );
 
 const ofTissue = (model: Model, channel: string, style: TissueStyle, scaled: boolean): Trace => ({
   column: style.slot === UNKNOWN_SLOT ? model.column(`${channel}_unknown`) : model.column(channel, style.name),
@@ -56,31 +67,27 @@ const SD_OF: Record<Parameter, string> = {
   damping_kg_per_s: "log_damping_sd",
 };
 
-/** Returns the lines of the four charts, for the channels that the server sends. */
+const isRaw = ({ key }: Trace): boolean => key === "raw";
+const isLimit = ({ key }: Trace): boolean => key === "limit";
+
+/** Returns the charts with their lines, for the channels that the server sends. */
 export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
   const styles = tissueStyles(model.tissues);
   const library = styles.filter((style) => style.slot !== UNKNOWN_SLOT);
-  const limit = { ...plain(model, "limit_n", "limit", "limit", "--line-limit"), mark: "limit", dash: [6, 4] };
-  const threshold = { ...plain(model, "threshold_n", "threshold", "alarm threshold", "--line-second"), dash: [2, 4] };
-  const specs = [
+  const force = ofTool(model, "force");
+  const specs: PlotSpec[] = [
     {
       id: "force",
       traces: [
-        plain(model, "jaw_force_n", "raw", "unfiltered", "--line-raw"),
+        ...force.filter(isRaw),
         ...library.map((style) => ofTissue(model, "force_n", style, false)),
-        plain(model, "jaw_force_filtered_n", "filtered", "filtered", "--line-measured"),
-        threshold,
-        limit,
+        ...force.filter((trace) => !isRaw(trace) && !isLimit(trace)),
+        threshold(model),
+        ...force.filter(isLimit),
       ],
     },
-    {
-      id: "displacement",
-      traces: [
-        plain(model, "jaw_displacement_m", "raw", "unfiltered", "--line-raw"),
-        plain(model, "jaw_displacement_filtered_m", "filtered", "filtered", "--line-measured"),
-        { ...plain(model, "tissue_displacement_m", "tissue", "in tissue", "--line-second"), dash: [2, 3] },
-      ],
-    },
+    { id: "displacement", traces: ofTool(model, "displacement") },
+    ...furtherCharts(model),
     { id: "probability", traces: styles.map((style) => ofTissue(model, "probability", style, true)) },
     {
       id: "parameter",
@@ -90,5 +97,25 @@ export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
       })),
     },
   ];
-  return specs.map(({ id, traces }) => ({ id, traces: traces.filter((trace) => trace.column >= 0) }));
+  return specs.map((spec) => ({ ...spec, traces: spec.traces.filter((trace) => trace.column >= 0) }));
+}
+
+/** The threshold of the force alarms, which the estimator sends and not the tool. */
+const threshold = (model: Model): Trace => ({
+  column: model.column("threshold_n"),
+  key: "threshold",
+  ofTissue: false,
+  name: "alarm threshold",
+  mark: "",
+  color: "--line-second",
+  dash: [2, 4],
+  sdColumn: -1,
+  scaled: true,
+});
+
+/** Returns the charts that the table of signals adds, of which the server sends a channel. */
+function furtherCharts(model: Model): PlotSpec[] {
+  const sent = TRACES.filter(({ chart, channel }) => !OWN_CHARTS.includes(chart) && model.column(channel) >= 0);
+  const units = new Map(sent.map(({ chart, unit }) => [chart, unit]));
+  return [...units].map(([id, unit]) => ({ id, unit, traces: ofTool(model, id) }));
 }

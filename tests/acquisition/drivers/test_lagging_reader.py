@@ -49,10 +49,10 @@ class Wiring:
         self._reads, self._strain_v, self._wrong = reads, 0.0, False
         self.commands_v: list[float] = []
 
-    def step(self, command_v: float) -> tuple[float, float, float, float]:
+    def step(self, command_v: float) -> dict[str, float]:
         self.commands_v.append(command_v)
         readings = self._grasper.step(command_v)
-        self._strain_v = readings[0]
+        self._strain_v = readings["strain_v"]
         return readings
 
     def readback_v(self, command_v: float) -> float:

@@ -35,10 +35,10 @@ class Ramp:
     def __init__(self) -> None:
         self.commands_v: list[float] = []
 
-    def step(self, command_v: float) -> tuple[float, float, float, float]:
+    def step(self, command_v: float) -> dict[str, float]:
         self.commands_v.append(command_v)
         k = len(self.commands_v)
-        return k * 1e-3, k * COUNT_DEG, 0.25, 5.0
+        return {"strain_v": k * 1e-3, "encoder_deg": k * COUNT_DEG, "touch_1_v": 0.25, "touch_2_v": 5.0}
 
 
 class Rig:
@@ -68,17 +68,19 @@ def test_every_sample_arrives_once_in_order_with_its_encoder_angle(rig: Rig) -> 
     k = np.arange(1, 5001)
     assert [block.first_tick for block in blocks] == list(range(0, 5000, 5))
     assert not any(block.lost_samples for block in blocks)
-    np.testing.assert_allclose(np.concatenate([block.strain_v for block in blocks]), k * 1e-3, rtol=1e-12)
-    np.testing.assert_allclose(np.concatenate([block.encoder_deg for block in blocks]), k * COUNT_DEG, rtol=1e-12)
-    assert set(blocks[-1].touch_1_v) == {0.25}
-    assert set(blocks[-1].touch_2_v) == {5.0}
+    np.testing.assert_allclose(np.concatenate([block.signals["strain_v"] for block in blocks]), k * 1e-3, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.concatenate([block.signals["encoder_deg"] for block in blocks]), k * COUNT_DEG, rtol=1e-12
+    )
+    assert set(blocks[-1].signals["touch_1_v"]) == {0.25}
+    assert set(blocks[-1].signals["touch_2_v"]) == {5.0}
     assert [block.t_mono_ns for block in blocks[:2]] == [5_000_000, 10_000_000]
 
 
 def test_a_late_reader_still_gets_every_sample(rig: Rig) -> None:
     with rig.tool() as tool:
         rig.pass_time(3.0)
-        strain_v = np.concatenate([tool.read_block().strain_v for _ in range(700)])
+        strain_v = np.concatenate([tool.read_block().signals["strain_v"] for _ in range(700)])
     np.testing.assert_allclose(strain_v, np.arange(1, 3501) * 1e-3, rtol=1e-12)
 
 
@@ -87,7 +89,7 @@ def test_readback_and_plant_follow_the_command_from_its_moment_on(rig: Rig) -> N
         tool.read_block()
         rig.pass_time(0.010)
         tool.write_command(1.5)
-        readback_v = np.concatenate([tool.read_block().motor_command_v for _ in range(4)])
+        readback_v = np.concatenate([tool.read_block().signals["motor_command_v"] for _ in range(4)])
     assert list(readback_v) == [0.0] * 10 + [1.5] * 10
     assert rig.plant.commands_v == [0.0] * 15 + [1.5] * 10
 
@@ -100,7 +102,7 @@ def test_on_the_real_clock_samples_come_at_their_rate_under_the_command_of_their
         tool.write_command(1.0)
         blocks = [tool.read_block() for _ in range(20)]
     assert time.monotonic_ns() - begin_ns > 98e6
-    readback_v = np.concatenate([block.motor_command_v for block in blocks])
+    readback_v = np.concatenate([block.signals["motor_command_v"] for block in blocks])
     changed_at = int(np.argmax(readback_v > 0))
     assert changed_at >= 50
     assert set(readback_v[:changed_at]) == {0.0}
@@ -143,7 +145,7 @@ def test_the_output_holds_when_the_client_vanishes_until_the_device_is_reset(rig
     reset_device(TOOL, rig.options)
     assert rig.board.output_v == 0.0
     with rig.tool() as tool:
-        assert set(tool.read_block().motor_command_v) == {0.0}
+        assert set(tool.read_block().signals["motor_command_v"]) == {0.0}
 
 
 def test_a_reset_underneath_a_running_tool_ends_it_at_zero(rig: Rig) -> None:
@@ -186,7 +188,7 @@ def test_a_short_read_ends_the_tool_at_zero_and_counts_what_came(rig: Rig, arriv
 
 
 def test_a_failure_between_the_two_reads_ends_the_tool_at_zero(rig: Rig) -> None:
-    def breaks(command_v: float) -> tuple[float, float, float, float]:
+    def breaks(command_v: float) -> dict[str, float]:
         return 0.0, float("nan"), 0.0, 0.0
 
     with rig.tool() as tool:
@@ -207,7 +209,7 @@ def test_a_command_beyond_the_limits_is_refused_with_the_motor_at_zero(rig: Rig,
             tool.write_command(command_v)
         assert rig.board.output_v == 0.0
         tool.write_command(1.0)
-        assert set(tool.read_block().motor_command_v) == {1.0}
+        assert set(tool.read_block().signals["motor_command_v"]) == {1.0}
 
 
 @pytest.mark.parametrize("order", ["encoder first", "analog first"])
@@ -234,7 +236,7 @@ def test_an_encoder_started_after_the_analog_inputs_never_delivers(rig: Rig, ord
 def test_a_wrong_pulse_count_gives_wrong_degrees_as_on_a_real_counter(rig: Rig) -> None:
     halved = TOOL.calibration.model_copy(update={"encoder_counts_per_rev": 250})
     with NidaqSource(TOOL.model_copy(update={"calibration": halved}), rig.options) as tool:
-        np.testing.assert_allclose(tool.read_block().encoder_deg, np.arange(1, 6) * 2 * COUNT_DEG)
+        np.testing.assert_allclose(tool.read_block().signals["encoder_deg"], np.arange(1, 6) * 2 * COUNT_DEG)
 
 
 @pytest.mark.skipif(HAS_DRIVER, reason="NI-DAQmx is installed: this would open a real board")
@@ -269,8 +271,8 @@ def test_over_tcp_it_is_the_same_board_and_a_lost_server_is_told() -> None:
         tool = NidaqSource(TOOL, nidaqmx.GrpcSessionOptions(channel, "")).__enter__()
         tool.write_command(1.0)
         block = tool.read_block()
-        assert list(block.motor_command_v) == [1.0] * 5
-        np.testing.assert_allclose(block.encoder_deg, np.arange(1, 6) * COUNT_DEG)
+        assert list(block.signals["motor_command_v"]) == [1.0] * 5
+        np.testing.assert_allclose(block.signals["encoder_deg"], np.arange(1, 6) * COUNT_DEG)
         with pytest.raises(RefusedError):
             tool.write_command(9.0)
         server.stop(grace=None).wait()
@@ -310,7 +312,7 @@ def test_over_tls_the_board_is_driven_by_whoever_it_knows(encrypted) -> None:
     board, wiring, _ = encrypted
     with reached_by(wiring) as tool:
         tool.write_command(1.0)
-        assert list(tool.read_block().motor_command_v) == [1.0] * 5
+        assert list(tool.read_block().signals["motor_command_v"]) == [1.0] * 5
         assert board.output_v == 1.0
     assert board.output_v == 0.0
 

@@ -64,7 +64,7 @@ def test_what_was_written_is_read_back_every_sample_once_and_in_order(tmp_path: 
     assert not any(block.lost_samples for block in blocks)
     whole = joined(blocks)
     for signal in SIGNALS:
-        np.testing.assert_allclose(getattr(whole, signal), getattr(SIMULATED, signal), rtol=0, atol=PRINTED)
+        np.testing.assert_allclose(whole.signals[signal], SIMULATED.signals[signal], rtol=0, atol=PRINTED)
 
 
 def test_it_says_how_many_samples_and_seconds_there_are(tmp_path: Path) -> None:
@@ -304,7 +304,7 @@ def test_whatever_stands_in_a_file_it_is_read_or_told(
     except RecordingError as error:
         assert str(error).startswith(str(path))
     else:
-        assert all(np.isfinite(getattr(block, name)).all() for block in blocks for name in SIGNALS)
+        assert all(np.isfinite(block.signals[name]).all() for block in blocks for name in SIGNALS)
         assert sum(block.lost_samples for block in blocks) < 86_400_000
 
 

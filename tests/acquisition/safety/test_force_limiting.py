@@ -260,9 +260,9 @@ def test_a_gage_that_reads_too_much_holds_less_and_noise_does_not_shake_the_moto
 class SpikingGrasper(WatchedGrasper):
     """One sample in forty of the strain gage is 2.4 N too high."""
 
-    def step(self, command_v: float) -> tuple[float, float, float, float]:
-        strain_v, *others = super().step(command_v)
-        return (strain_v + (0.3 if len(self.forces_n) % 40 == 0 else 0.0), *others)
+    def step(self, command_v: float) -> dict[str, float]:
+        readings = super().step(command_v)
+        return readings | {"strain_v": readings["strain_v"] + (0.3 if len(self.forces_n) % 40 == 0 else 0.0)}
 
 
 def test_spikes_of_the_strain_gage_neither_let_go_nor_shake():

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
-from simulation import SIGNALS, cut, joined, raw_block, simulate_raw
+from simulation import SIGNALS, cut, joined, raw_block, simulate_raw, with_signals
 
 from acquisition.drivers.source import RawBlock
 from acquisition.recordings.recording import RecordingSource
@@ -105,7 +105,7 @@ def test_raw_signals_ticks_and_gaps_are_passed_on_as_they_are() -> None:
         blocks.append(pipeline.process(late))
     samples = np.concatenate([block.samples for block in blocks])
     for name in SIGNALS:
-        np.testing.assert_array_equal(samples[name], getattr(raw, name))
+        np.testing.assert_array_equal(samples[name], raw.signals[name])
     assert [block.lost_samples for block in blocks] == [0, 7, 7]
     assert [block.sequence for block in blocks] == [1, 2, 3]
     np.testing.assert_array_equal(np.diff(samples["tick"]), np.where(np.isin(np.arange(1, len(raw)), [100, 400]), 8, 1))
@@ -121,7 +121,7 @@ def test_tissue_displacement_counts_from_the_first_touch(tissue: str) -> None:
     for grasp in (1, 2):
         of_grasp = samples[held & (samples["grasp"] == grasp)]
         touch = of_grasp["contact_tick"][0]
-        assert raw.touch_1_v[touch] > 2.5 >= raw.touch_1_v[touch - 1]
+        assert raw.signals["touch_1_v"][touch] > 2.5 >= raw.signals["touch_1_v"][touch - 1]
         expected = of_grasp["jaw_displacement_m"] - samples["jaw_displacement_m"][touch]
         np.testing.assert_allclose(of_grasp["tissue_displacement_m"], expected, rtol=0, atol=1e-15)
 
@@ -129,7 +129,7 @@ def test_tissue_displacement_counts_from_the_first_touch(tissue: str) -> None:
 @pytest.mark.parametrize("silent", ["touch_1_v", "touch_2_v"])
 def test_either_of_the_two_touch_sensors_tells_contact(silent: str) -> None:
     raw = joined(simulate_raw("liver"))
-    one_sided = replace(raw, **{silent: np.zeros(len(raw))})
+    one_sided = with_signals(raw, **{silent: np.zeros(len(raw))})
     assert_same(process(TOOL, by_fives(raw)), process(TOOL, by_fives(one_sided)), but=silent)
 
 
@@ -269,7 +269,7 @@ def test_how_samples_are_cut_into_blocks_does_not_matter(cuts: list[int]) -> Non
 @settings(max_examples=12)
 @given(cuts=CUTS)
 def test_once_tared_how_samples_are_cut_into_blocks_does_not_matter(tool: Tool, cuts: list[int]) -> None:
-    quiet = replace(NOISY, strain_v=np.where(np.arange(len(NOISY)) < 520, REST_V, NOISY.strain_v))
+    quiet = with_signals(NOISY, strain_v=np.where(np.arange(len(NOISY)) < 520, REST_V, NOISY.signals["strain_v"]))
     assert_same(process(tool, by_fives(quiet)), process(tool, cut(quiet, cuts)))
 
 
@@ -277,7 +277,7 @@ def test_a_contact_in_the_block_in_which_the_last_grasp_ends_is_its_own() -> Non
     waveform = load_grasp_protocol("trapezoid_4hz").waveform.model_copy(update={"rest_s": 0.03})
     hasty = load_grasp_protocol("trapezoid_4hz").model_copy(update={"waveform": waveform})
     raw = joined(simulate_raw("liver", hasty, cycles=3))
-    quiet = replace(raw, strain_v=np.where(np.arange(len(raw)) < 520, REST_V, raw.strain_v))
+    quiet = with_signals(raw, strain_v=np.where(np.arange(len(raw)) < 520, REST_V, raw.signals["strain_v"]))
     assert_same(process(TOOL, by_fives(quiet)), process(TOOL, cut(quiet, range(0, len(raw), LARGEST_BLOCK))))
 
 

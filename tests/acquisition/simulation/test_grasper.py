@@ -43,18 +43,18 @@ def exact(**changes: float) -> Tool:
 @pytest.mark.parametrize("tissue", TISSUES)
 def test_at_zero_command_nothing_moves_and_only_the_strain_gage_is_noisy(tissue: str) -> None:
     raw = drive(grasper(tissue), np.zeros(20_000))
-    assert not raw.encoder_deg.any()
-    assert not raw.touch_1_v.any()
-    assert not raw.touch_2_v.any()
+    assert not raw.signals["encoder_deg"].any()
+    assert not raw.signals["touch_1_v"].any()
+    assert not raw.signals["touch_2_v"].any()
     # 2 mV and the rounding to 0.161 mV; the SD of 20,000 samples is good to 0.5 %, so 2.5 % is five of its own
-    assert raw.strain_v.std() == pytest.approx(math.hypot(0.002, 0.000161 / math.sqrt(12)), rel=0.025)
+    assert raw.signals["strain_v"].std() == pytest.approx(math.hypot(0.002, 0.000161 / math.sqrt(12)), rel=0.025)
     # the rest voltages of the recordings lie between 0.80 and 0.84 V
-    assert abs(raw.strain_v.mean() - 0.82) < 0.025
+    assert abs(raw.signals["strain_v"].mean() - 0.82) < 0.025
 
 
 def test_sensors_read_in_whole_steps() -> None:
     raw = joined(simulate_raw("liver"))
-    for signal, step in ((raw.strain_v, 0.000161), (raw.encoder_deg, COUNT_DEG)):
+    for signal, step in ((raw.signals["strain_v"], 0.000161), (raw.signals["encoder_deg"], COUNT_DEG)):
         np.testing.assert_allclose(signal / step, np.round(signal / step), rtol=0, atol=1e-6)
         assert len(np.unique(np.round(signal / step))) > 100
 
@@ -62,9 +62,9 @@ def test_sensors_read_in_whole_steps() -> None:
 @pytest.mark.parametrize("tissue", TISSUES)
 def test_calibration_of_what_the_sensors_read_gives_back_the_jaws_force_and_displacement(tissue: str) -> None:
     held = grasper(tissue)
-    rest_v = drive(held, np.zeros(5000)).strain_v.mean()
+    rest_v = drive(held, np.zeros(5000)).signals["strain_v"].mean()
     raw = drive(held, np.full(3 * LONG, 2.0))
-    jaw = compute_jaw_signals(TOOL, raw.strain_v[LONG:] - rest_v, raw.encoder_deg[LONG:])
+    jaw = compute_jaw_signals(TOOL, raw.signals["strain_v"][LONG:] - rest_v, raw.signals["encoder_deg"][LONG:])
     newton_per_volt, metre_per_volt = jaw.newton_per_volt.mean(), jaw.metre_per_volt.mean()
     # means of 5000 and 2000 samples: five SD of the mean's noise; the encoder reads half a count low on average
     noise_v = 5 * 0.002 * math.sqrt(1 / 5000 + 1 / 2000)
@@ -76,10 +76,12 @@ def test_calibration_of_what_the_sensors_read_gives_back_the_jaws_force_and_disp
 
 def test_both_touch_sensors_tell_while_tissue_is_held() -> None:
     raw = joined(simulate_raw("gallbladder", cycles=2))
-    np.testing.assert_array_equal(raw.touch_1_v, raw.touch_2_v)
-    assert set(raw.touch_1_v) == {0.0, 5.0}
-    touches = np.flatnonzero(np.diff(raw.touch_1_v) > 0)
-    jaw_m = compute_jaw_signals(TOOL, raw.strain_v - raw.strain_v[:400].mean(), raw.encoder_deg).displacement_m
+    np.testing.assert_array_equal(raw.signals["touch_1_v"], raw.signals["touch_2_v"])
+    assert set(raw.signals["touch_1_v"]) == {0.0, 5.0}
+    touches = np.flatnonzero(np.diff(raw.signals["touch_1_v"]) > 0)
+    jaw_m = compute_jaw_signals(
+        TOOL, raw.signals["strain_v"] - raw.signals["strain_v"][:400].mean(), raw.signals["encoder_deg"]
+    ).displacement_m
     # free travel of 0.5 mm, read with 12 µm of noise; before it the jaws have not reached the tissue
     assert len(touches) == 2
     np.testing.assert_allclose(jaw_m[touches + 1], 0.0005, rtol=0, atol=5 * 12e-6 + 60e-6)
@@ -219,8 +221,8 @@ def test_a_lump_that_the_jaws_overpower_ends_as_shut_jaws_that_take_any_force() 
 def test_after_a_grasp_the_jaws_let_go_and_come_back_to_rest(tissue: str) -> None:
     held = grasper(tissue)
     raw = drive(held, [*np.full(500, 2.0), *np.zeros(500)])
-    assert raw.touch_1_v[499] == 5.0
-    assert raw.touch_1_v[-1] == 0.0
+    assert raw.signals["touch_1_v"][499] == 5.0
+    assert raw.signals["touch_1_v"][-1] == 0.0
     assert held.force_n == 0.0
     assert held.jaw_displacement_m < 1e-6  # 0.5 s are ten times the opening's time constant: 5e-5 of at most 8 mm
 
@@ -230,7 +232,7 @@ def test_opening_jaws_touch_the_tissue_until_the_spring_has_brought_them_back_to
     held = grasper(tissue)
     drive(held, np.full(500, 2.0))
     closed_m, lags = held.jaw_displacement_m, TOOL.simulation
-    touch_v = drive(held, np.zeros(500)).touch_1_v
+    touch_v = drive(held, np.zeros(500)).signals["touch_1_v"]
     # the drive lets go at 0.02 N; then the jaws' opening decays; while it lets go they follow it a little
     let_go_s = lags.drive_lag_s * math.log(1.55 / 0.02)
     opened_m = held_displacement_m(held, 0.02) + lags.free_travel_m
@@ -289,7 +291,7 @@ def test_a_deviation_of_no_size_changes_no_sample(tissue: str, nothing: ModelDev
     commands_v = [*np.zeros(50), *np.full(600, 2.0), *np.zeros(300), *np.full(100, 1.0)]
     plain, deviating = drive(grasper(tissue), commands_v), drive(grasper(tissue, deviation=nothing), commands_v)
     for name in SIGNALS:
-        np.testing.assert_array_equal(getattr(deviating, name), getattr(plain, name))
+        np.testing.assert_array_equal(deviating.signals[name], plain.signals[name])
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
@@ -357,7 +359,7 @@ def test_a_late_touch_is_told_when_the_tissue_is_compressed_by_as_much() -> None
     until_contact(held)
     told, compressed_m = [], []
     for command_v in [*np.full(300, 2.0), *np.zeros(200)]:
-        told.append(held.step(command_v)[2] == 5.0)
+        told.append(held.step(command_v)["touch_1_v"] == 5.0)
         compressed_m.append(held.tissue_displacement_m)
     np.testing.assert_array_equal(told, np.array(compressed_m) >= 100e-6)
     assert not told[0]
@@ -368,10 +370,12 @@ def readings(deviation: ModelDeviation, commands_v: list[float], tissue: str = "
     """What a tool without noise makes of the sensors, and what is true; N, m and m/s."""
     quiet = TOOL.model_copy(update={"noise": TOOL.noise.model_copy(update={"strain_sd_v": 1e-9, "strain_lsb_v": 0.0})})
     held = grasper(tissue, tool=quiet, deviation=deviation)
-    rest_v = held.step(0.0)[0]
-    volts, degrees, force_n, jaw_m = np.transpose(
-        [(*held.step(command_v)[:2], held.force_n, held.jaw_displacement_m) for command_v in commands_v]
-    )
+    rest_v = held.step(0.0)["strain_v"]
+    rows = []
+    for command_v in commands_v:
+        sensed = held.step(command_v)
+        rows.append((sensed["strain_v"], sensed["encoder_deg"], held.force_n, held.jaw_displacement_m))
+    volts, degrees, force_n, jaw_m = np.transpose(rows)
     jaw = compute_jaw_signals(quiet, volts - rest_v, degrees)
     v_m_per_s = np.diff(jaw_m, prepend=0.0) * 1000
     return {"read_n": jaw.force_n, "force_n": force_n, "read_m": jaw.displacement_m, "jaw_m": jaw_m, "v": v_m_per_s}
@@ -429,9 +433,9 @@ def test_breathing_and_heartbeat_move_the_jaws_that_press_with_constant_force(
 def test_the_same_seed_gives_the_same_samples_and_another_seed_others() -> None:
     one, same, other = (joined(simulate_raw("liver", seed=seed, cycles=2)) for seed in (7, 7, 8))
     for name in SIGNALS:
-        np.testing.assert_array_equal(getattr(one, name), getattr(same, name))
-    assert (one.strain_v != other.strain_v).mean() > 0.9
-    assert (one.encoder_deg != other.encoder_deg).any()
+        np.testing.assert_array_equal(one.signals[name], same.signals[name])
+    assert (one.signals["strain_v"] != other.signals["strain_v"]).mean() > 0.9
+    assert (one.signals["encoder_deg"] != other.signals["encoder_deg"]).any()
 
 
 def test_a_grasps_specimen_depends_on_seed_and_count_but_not_on_how_long_the_rest_was() -> None:

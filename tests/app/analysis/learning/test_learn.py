@@ -175,7 +175,7 @@ def test_a_recording_under_two_labels_is_told_even_as_a_copy(folder, tmp_path):
 
 def test_a_recording_of_another_tool_is_told(folder, tmp_path):
     raw = joined(simulate_raw("bladder", seed=1, cycles=GRASPS))
-    raw.strain_v[:] += 0.4
+    raw.signals["strain_v"][:] += 0.4
     other = write_lvm(tmp_path / "other.lvm", raw)
     labels = ("--label", f"bladder={folder}/bladder1.lvm", other)
     told = refused(RecordingError, *labels, *SIMULATED, "--out", tmp_path / "x.toml")
