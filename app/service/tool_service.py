@@ -7,7 +7,6 @@ import time
 from collections import deque
 from collections.abc import Awaitable, Callable
 from datetime import UTC, date, datetime
-from typing import Any
 
 import zmq
 import zmq.asyncio
@@ -51,7 +50,7 @@ from app.service.commander import Commander
 from app.service.control_lease import ControlLease
 from app.service.metrics import Metrics
 from app.service.recorder_link import RecorderLink
-from app.service.runs import RunRegistry
+from app.service.runs import RunRegistry, RunUnderWayError
 from app.service.supervisor import Supervisor, WorkerCondition
 from app.service.watchdog import Watchdog
 from app.stream.alarms import AlarmManager
@@ -270,7 +269,7 @@ class ToolService:
         if self._shutting_down:
             raise RefusedError("The service is being ended: start nothing any more.")
         if self.runs.current:
-            raise RefusedError(f"Run {self.runs.current.id} is under way. Stop it first.")
+            raise RunUnderWayError(self.runs.current)
 
     async def stop_run(self, why: str, find_requester: Callable[[], Awaitable[str | None]] | None = None) -> bool:
         """Bring the motor to zero at once, and return whether a run was stopped. A stop is never refused.
@@ -649,6 +648,7 @@ class ToolService:
             recording=self.recorder_link.state,
             free_disk_bytes=self._free_bytes,
             faults=self.alarms.technical_alarm_texts(),
+            event_number=self.viewer_hub.newest_event_number,
         )
 
     def publish_state(self) -> None:
@@ -677,19 +677,23 @@ class ToolService:
         self.journal.write(kind, text, by=by, run=run)
         self.viewer_hub.broadcast(EventMessage(server_time_ms=now_ms(), text=f"{text}, by {by}" if by else text))
 
-    def initial_messages(self) -> tuple[list[Any], list[bytes]]:
-        """Return a new viewer's first messages, and frames with the last seconds of samples."""
-        plan = self.plan
-        messages: list[Any] = [
-            build_hello(plan, plan.tool, recording=bool(plan.opened_recordings)),
-            self.build_state(),
-            *self.alarms.current_alarms(),
+    def initial_messages(self, after: int | None = None) -> tuple[list[BaseModel], list[bytes]]:
+        """Return a viewer's first messages, and frames with the last seconds of samples.
+
+        A viewer that has received all events up to `after` gets those after it instead of the last run's grasps.
+        """
+        missed = None if after is None else self.viewer_hub.list_events_after(after)
+        hello = build_hello(self.plan, self.plan.tool, recording=bool(self.plan.opened_recordings))
+        messages: list[BaseModel] = [
+            hello.model_copy(update={"resumed": None if after is None else missed is not None}),
+            self.build_state().model_copy(update={"event_number": None}),
         ]
-        run = self.runs.last
-        if run:
-            messages += [
-                GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.runs.list_grasps(run.id)[-MAX_INITIAL_GRASPS:]
-            ]
+        if missed is not None:
+            messages += missed
+        elif run := self.runs.last:
+            grasps = self.runs.list_grasps(run.id)[-MAX_INITIAL_GRASPS:]
+            messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in grasps]
+        messages += self.alarms.current_alarms()
         if self._translator.identification:
             messages.append(self._translator.identification)
         return messages, self._frame_buffer.history_frames()
