@@ -103,17 +103,17 @@ def add_error_handlers(app: FastAPI, routes: Sequence[BaseRoute]) -> None:
 
     @app.exception_handler(HTTPException)
     async def on_http(request: Request, error: HTTPException) -> JSONResponse:
-        if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        if error.status_code in (HTTPStatus.NOT_FOUND, HTTPStatus.METHOD_NOT_ALLOWED):
             allowed = list_allowed_methods([*routes, *app.routes], request.scope)
-            if allowed or request.scope["path"].startswith("/api/"):
+            if allowed and request.method not in allowed:
                 return _refuse_method(request, allowed)
+            if request.scope["path"].startswith("/api/"):  # the dashboard's files, which come last, answered
+                return _problem_response(HTTPStatus.NOT_FOUND, "There is nothing at this address.")
         return _problem_response(error.status_code, str(error.detail), headers=error.headers)
 
 
 def _refuse_method(request: Request, allowed: list[str]) -> JSONResponse:
-    """Name every method of a path. Without any there is no such path, though the dashboard's files answer 405."""
-    if not allowed:
-        return _problem_response(HTTPStatus.NOT_FOUND, "There is nothing at this address.")
+    """Name every method of a path."""
     methods = ", ".join(allowed)
     detail = f"This address does not answer {request.method}. It answers {methods}."
     return _problem_response(HTTPStatus.METHOD_NOT_ALLOWED, detail, headers={"Allow": methods})

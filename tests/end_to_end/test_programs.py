@@ -127,7 +127,7 @@ def test_head_on_a_recording_reads_none_of_it_and_makes_no_report(service: Servi
         assert not [line for line in service.http.get("/api/journal").json() if line["action"] == "report"]
     finally:
         big.unlink()
-    until(lambda: service.http.get("/api/recordings/liver.lvm/report").status_code == 200)
+    until(lambda: service.http.get("/api/recordings/liver.lvm/report").status_code == 200, 90.0)
     made = service.http.head("/api/recordings/liver.lvm/report")
     assert (made.status_code, int(made.headers["content-length"]) > 100_000) == (200, True)
 
