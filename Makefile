@@ -96,7 +96,8 @@ $(VENV)/.running: requirements.lock pyproject.toml | $(VENV)/bin/python
 $(VENV)/.installed: requirements-dev.lock $(VENV)/.running
 	@echo "Installing what tests need into $(VENV)"
 	@# compiled once: tests start the program a hundred times, also where Python may write no bytecode
-	@begin=$$(date +%s); $(PIP) --no-compile -r requirements-dev.lock && $(BIN)/python -m compileall -q -j 0 $(VENV)/lib && \
+	@# the lock is complete; --no-deps, because openapi-python-client says that it needs an older typer, and works with this one
+	@begin=$$(date +%s); $(PIP) --no-compile --no-deps -r requirements-dev.lock && $(BIN)/python -m compileall -q -j 0 $(VENV)/lib && \
 		echo "Installing what tests need took $$(($$(date +%s) - begin)) s"
 	@touch $@
 

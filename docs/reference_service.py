@@ -3,7 +3,7 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import typer
 from fastapi import FastAPI
@@ -15,6 +15,7 @@ from acquisition.signal_table import SIGNALS
 from app.api.app import ROUTERS
 from app.cli import main
 from app.messages import live
+from app.messages.asyncapi import FROM_REPLAY, FROM_REPLAY_VIEWER, find_used_schemas, render_asyncapi
 from app.messages.json_schema import HEADER_FIELDS, build_schema, describe_frame_layout
 from app.people.route_permissions import collect_route_permissions
 from app.service.metrics import Metrics
@@ -22,8 +23,7 @@ from app.stream.frames import ESTIMATE_COLUMNS, SAMPLE_COLUMNS, SD_COLUMNS, TISS
 from config.load import CONFIG_DIR
 
 DOCS = Path(__file__).parent
-MESSAGES = tuple(each.__name__ for each in get_args(get_args(live.ServerMessage)[0]))
-ANSWERS = ("FrameReceived", "ReplayControl")
+MESSAGES, ANSWERS = FROM_REPLAY, FROM_REPLAY_VIEWER
 WRITTEN = "Written by `make reference` from the code; change that instead.\n"
 
 
@@ -106,7 +106,7 @@ def stream() -> str:
     parts += [_table(name, contract) for name in MESSAGES]
     parts.append("## What a viewer sends\n")
     parts += [_table(name, contract) for name in ANSWERS]
-    inside = sorted(_used(MESSAGES, contract) - set(MESSAGES))
+    inside = sorted(find_used_schemas(MESSAGES, contract) - set(MESSAGES))
     parts.append("## What stands in them\n")
     parts += [_table(name, contract) for name in inside]
     frame = describe_frame_layout()
@@ -136,17 +136,6 @@ def stream() -> str:
 
 def _paragraphs(text: str | None) -> str:
     return re.sub(r"(?<!\n)\n(?!\n)", " ", (text or "").strip())
-
-
-def _used(names: tuple[str, ...], contract: dict[str, Any]) -> set[str]:
-    found: set[str] = set()
-    waiting = list(names)
-    while waiting:
-        name = waiting.pop()
-        if name not in found:
-            found.add(name)
-            waiting += re.findall(r"#/\$defs/(\w+)", str(contract[name]))
-    return found
 
 
 def _table(name: str, contract: dict[str, Any]) -> str:
@@ -199,6 +188,7 @@ def written() -> dict[str, str]:
         "reference/settings.md": settings(),
         "reference/requests.md": requests(),
         "reference/stream.md": stream(),
+        "reference/asyncapi.json": render_asyncapi(),
         "reference/metrics.md": metrics(),
         "reference/client.md": client(),
         "decisions/index.md": decisions(),

@@ -117,10 +117,17 @@ class Graspwatch:
 
     # --- grasping ----------------------------------------------------------------------------------------------------
 
-    async def start(self, protocol: str, *, cycles: int | None = None, tissue: str | None = None) -> Run:
-        """Start a protocol, and arm the tool first if it is not armed. `tissue` is for the simulated grasper."""
+    async def start(
+        self, protocol: str, *, cycles: int | None = None, tissue: str | None = None, idempotency_key: str | None = None
+    ) -> Run:
+        """Start a protocol, and arm the tool first if it is not armed. `tissue` is for the simulated grasper.
+
+        If no answer comes (`UnreachableError`), the run may have started. A program that starts it again with the same
+        `idempotency_key`, a text of its choice, gets that run, and no second one starts.
+        """
         wanted = RunRequest(protocol=protocol, cycles=cycles, tissue=tissue, by=self._by)
-        return await self._rest_client.ask(Run, "POST", "/api/runs", wanted)
+        headers = {"Idempotency-Key": idempotency_key} if idempotency_key else None
+        return await self._rest_client.ask(Run, "POST", "/api/runs", wanted, headers=headers)
 
     async def stop(self) -> StopAnswer:
         """Bring the motor to zero at once, in every state."""
@@ -218,16 +225,23 @@ class Graspwatch:
                 if isinstance(message, Identification):
                     yield message
 
-    async def messages(self, *, frames: bool = True) -> AsyncGenerator[BaseModel | Frame, None]:
+    async def messages(
+        self, *, frames: bool = True, after: int | None = None
+    ) -> AsyncGenerator[BaseModel | Frame, None]:
         """Yield all messages in order, and frames with every sample, beginning with the last seconds.
 
         The first message is a `Hello`; then `State`, `Identification`, `GraspEnded`, `Alarm` and `EventMessage` follow.
         A slow program misses frames, but never a message.
 
+        `after` is the number of the last event that the program has received, such as
+        `ConnectionLostError.last_event`. The stream then goes on with the events after it; `Hello.resumed` is False if
+        the service no longer has them all.
+
         Raises:
             ConnectionLostError: the service ended, or the connection broke.
         """
-        stream = messages(self._http.base_url, self._headers, self._ssl_context, self._timeout_s, with_frames=frames)
+        connection = self._http.base_url, self._headers, self._ssl_context, self._timeout_s
+        stream = messages(*connection, with_frames=frames, after=after)
         async with contextlib.aclosing(stream) as told:
             async for message in told:
                 yield message

@@ -22,4 +22,11 @@ class RefusedError(ClientError):
 
 
 class ConnectionLostError(ClientError):
-    """The stream ended, because the service ended or the connection broke. The tool's state is not known any more."""
+    """The stream ended, because the service ended or the connection broke. The tool's state is not known any more.
+
+    `last_event` is the number of the last event received, None if there was none: `messages(after=...)` goes on there.
+    """
+
+    def __init__(self, text: str, last_event: int | None = None) -> None:
+        super().__init__(text)
+        self.last_event = last_event

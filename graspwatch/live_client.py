@@ -9,8 +9,10 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
+from app.messages.alarms import Alarm
 from app.messages.base import SCHEMA_VERSION
-from app.messages.live import FrameReceived, Hello, ServerMessage
+from app.messages.grasps import GraspEnded
+from app.messages.live import EventMessage, FrameReceived, Hello, ServerMessage, State
 from config.network import is_this_computer
 from graspwatch.errors import ConnectionLostError
 from graspwatch.frames import Frame
@@ -20,9 +22,15 @@ MESSAGE: TypeAdapter[ServerMessage] = TypeAdapter(ServerMessage)
 
 
 async def messages(
-    url: httpx.URL, headers: Mapping[str, str], trust: ssl.SSLContext, timeout_s: float, *, with_frames: bool
+    url: httpx.URL,
+    headers: Mapping[str, str],
+    trust: ssl.SSLContext,
+    timeout_s: float,
+    *,
+    with_frames: bool,
+    after: int | None = None,
 ) -> AsyncGenerator[BaseModel | Frame, None]:
-    """Connect to the live stream at `url`, and yield its messages and frames.
+    """Connect to the live stream at `url`, and yield its messages and frames; with `after`, go on after that event.
 
     Raises:
         ConnectionLostError: the service ended, or the connection broke.
@@ -30,31 +38,44 @@ async def messages(
         RefusedError: the service refused the connection.
     """
     hello: Hello | None = None
-    async with _connect(url, headers, trust, timeout_s) as socket:
+    last_event = after
+    async with _connect(url, headers, trust, timeout_s, after) as socket:
         try:
             async for received in socket:
                 if isinstance(received, str):
                     message = _parse_message(received, url)
-                    hello = message if isinstance(message, Hello) else hello
+                    if isinstance(message, Hello):
+                        hello = message
+                        last_event = after if message.resumed else None
+                    last_event = _event_number(message) or last_event
                     yield message
                 elif with_frames and hello:  # the service stops sending frames that are not acknowledged
                     frame = Frame.unpack(received, hello.channels)
                     await socket.send(FrameReceived(sequence=frame.sequence).model_dump_json())
                     yield frame
         except ConnectionClosed as error:
-            raise ConnectionLostError(f"The stream of {url} broke: {error}.") from error
-    raise ConnectionLostError(f"The service at {url} ended the stream.")
+            raise ConnectionLostError(f"The stream of {url} broke: {error}.", last_event) from error
+    raise ConnectionLostError(f"The service at {url} ended the stream.", last_event)
+
+
+def _event_number(message: BaseModel) -> int | None:
+    """Return the number of the newest event that has been received with this message, if it says so."""
+    if isinstance(message, State):
+        return message.event_number
+    return message.number if isinstance(message, EventMessage | Alarm | GraspEnded) else None
 
 
 @contextlib.asynccontextmanager
 async def _connect(
-    url: httpx.URL, headers: Mapping[str, str], trust: ssl.SSLContext, timeout_s: float
+    url: httpx.URL, headers: Mapping[str, str], trust: ssl.SSLContext, timeout_s: float, after: int | None
 ) -> AsyncIterator[ClientConnection]:
     secure = url.scheme == "https"
-    address = str(url.copy_with(scheme="wss" if secure else "ws", path="/api/live"))
+    address = url.copy_with(scheme="wss" if secure else "ws", path="/api/live")
+    if after is not None:
+        address = address.copy_set_param("after", after)
     try:
         socket = await connect(
-            address,
+            str(address),
             additional_headers=headers,
             ssl=trust if secure else None,
             max_size=None,

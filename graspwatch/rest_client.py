@@ -41,11 +41,12 @@ class RestClient:
         body: BaseModel | None = None,
         *,
         params: dict[str, Any] | None = None,
+        headers: dict[str, str] | None = None,
         fine: tuple[int, ...] = (),
     ) -> Answer:
         """Return the response as the type `answer`; an error status in `fine` does not raise."""
         content = body.model_dump(mode="json", exclude_none=True) if body else None
-        response = await self.request(method, path, fine=fine, json=content, params=params)
+        response = await self.request(method, path, fine=fine, json=content, params=params, headers=headers)
         return TypeAdapter(answer).validate_json(response.content)
 
     async def request(self, method: str, path: str, *, fine: tuple[int, ...] = (), **request: Any) -> httpx.Response:

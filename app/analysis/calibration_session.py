@@ -21,6 +21,7 @@ from app.messages.calibration import (
     Constant,
 )
 from app.service.arming import CALIBRATION_ARM_REASON
+from app.service.runs import RunUnderWayError
 from app.service.tool_service import ToolService
 from config.errors import CalibrationError, RefusedError, ServiceError
 from config.load import load_tool
@@ -105,7 +106,7 @@ class CalibrationSession:
         if self._request is None or self._reading_count == len(self.state.values):
             raise RefusedError("Nothing is left to read: begin a calibration.")
         if self._tool_service.runs.current:  # known before its first block arrives
-            raise RefusedError("A run is under way. Stop it first.")
+            raise RunUnderWayError(self._tool_service.runs.current)
         request, value = self._request, self.state.values[self._reading_count]
         self._update_state(reading=True, problem=None)
         try:

@@ -61,7 +61,10 @@ class StudyRunner:
             ServiceError: the folder cannot be written.
         """
         if self._current_id:
-            raise RefusedError(f"Study {self._current_id} is under way. Stop it first, or wait for its end.", "study")
+            current = self._runs[self._current_id]
+            by = f", started by {current.by}" if current.by else ""
+            text = f"A study is under way: {current.title}{by}. Stop it first, or wait for its end."
+            raise RefusedError(text, "study")
         try:
             run = self._create_run(entry, grasps, seed, by)
         except OSError as error:

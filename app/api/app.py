@@ -19,6 +19,7 @@ from app.analysis.calibration_session import CalibrationSession
 from app.analysis.report.report_cache import ReportCache
 from app.analysis.study_runner import StudyRunner
 from app.api.dependencies import Services, renew_control
+from app.api.openapi import TAGS, describe_api, make_operation_id
 from app.api.recording_bin import RecordingBin
 from app.api.routes import (
     alarms,
@@ -44,13 +45,14 @@ from app.http.connection_limiter import (
     make_connection_limiter,
     raise_open_file_limit,
 )
-from app.http.methods import HeadAsGetMiddleware
+from app.http.idempotency import IdempotentAnswers
+from app.http.methods import build_head_router
 from app.index.database import index_url_from_settings
 from app.index.opening import open_store_for_service
 from app.people.auth_middleware import AuthMiddleware
 from app.people.authenticator import Authenticator
 from app.people.authorization import PUBLIC_ROUTE
-from app.people.route_permissions import add_roles_to_openapi, collect_route_permissions, find_public_paths
+from app.people.route_permissions import collect_route_permissions, find_public_paths
 from app.recordings.catalog import RecordingCatalog
 from app.recordings.index_reader import RECORDING_READERS
 from app.recordings.replay.cache_store import ReplayCacheStore
@@ -126,6 +128,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
             reports,
             journal_watch,
             recording_bin,
+            IdempotentAnswers(),
         )
         watch = asyncio.create_task(authenticator.watch_token_file(tool_service))
         tool_service.tasks.watch(watch)
@@ -151,14 +154,17 @@ def create_app(plan: ServicePlan) -> FastAPI:
         title="Graspwatch",
         version=__version__,
         description="Watches a laparoscopic grasper close on tissue. Research instrument, not a medical device.",
+        openapi_tags=TAGS,
+        generate_unique_id_function=make_operation_id,
         lifespan=lifespan,
     )
     app.state.log_context = log_context
     rights = collect_route_permissions(ROUTERS)
-    add_roles_to_openapi(app, rights)
-    problems.add_error_handlers(app)
+    describe_api(app, rights)
+    problems.add_error_handlers(app, [route for router in ROUTERS for route in router.routes])
     for router in ROUTERS:
         app.include_router(router, dependencies=[Depends(renew_control)])
+        app.include_router(build_head_router(router))
     app.add_middleware(
         AuthMiddleware,
         authenticator=authenticator,
@@ -167,13 +173,15 @@ def create_app(plan: ServicePlan) -> FastAPI:
     )
     app.middleware("http")(_add_security_headers)
     app.add_middleware(AuditMiddleware, get_journal=lambda: app.state.services.tool.journal)
-    app.add_middleware(HeadAsGetMiddleware)
-    if (STATIC_FOLDER / "index.html").is_file():
+    has_dashboard = (STATIC_FOLDER / "index.html").is_file()
+    if has_dashboard:
         for page in DASHBOARD_PATHS:
             app.get(page, dependencies=[PUBLIC_ROUTE], include_in_schema=False)(serve_dashboard_page)
-        app.mount("/", StaticFiles(directory=STATIC_FOLDER), name="dashboard")
     else:
         app.get("/", dependencies=[PUBLIC_ROUTE], include_in_schema=False)(serve_dashboard_missing)
+    app.include_router(build_head_router(app.router))  # of the pages and the documentation
+    if has_dashboard:
+        app.mount("/", StaticFiles(directory=STATIC_FOLDER), name="dashboard")
     return app
 
 

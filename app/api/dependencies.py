@@ -11,7 +11,9 @@ from app.analysis.calibration_session import CalibrationSession
 from app.analysis.report.report_cache import ReportCache
 from app.analysis.study_runner import StudyRunner
 from app.api.recording_bin import RecordingBin
+from app.http.idempotency import IdempotentAnswers
 from app.http.methods import SAFE_METHODS
+from app.messages.runs import Run
 from app.people.authenticator import Authenticator
 from app.people.authorization import get_user
 from app.recordings.catalog import RecordingCatalog
@@ -33,6 +35,7 @@ class Services:
     reports: ReportCache
     journal_watch: JournalWatch
     recording_bin: RecordingBin
+    started_runs: IdempotentAnswers[Run]
 
 
 def _dependency(read: Callable[[Services], object]) -> Any:
@@ -51,6 +54,7 @@ CatalogDep = Annotated[RecordingCatalog, _dependency(lambda services: services.c
 ReportsDep = Annotated[ReportCache, _dependency(lambda services: services.reports)]
 JournalWatchDep = Annotated[JournalWatch, _dependency(lambda services: services.journal_watch)]
 RecordingBinDep = Annotated[RecordingBin, _dependency(lambda services: services.recording_bin)]
+StartedRunsDep = Annotated[IdempotentAnswers[Run], _dependency(lambda services: services.started_runs)]
 
 
 async def renew_control(connection: HTTPConnection, tool_service: ToolServiceDep) -> None:

@@ -70,7 +70,7 @@ class BinFolder:
         for file in self._iterate_files():
             if file.entry == entry:
                 return file
-        raise RefusedError(f"There is no entry {entry!r} in the bin. GET /api/bin lists them.", "entry")
+        raise RefusedError(f"There is no entry {entry!r} in the bin. See the list of what is in it.", "entry")
 
     def restore(self, file: BinnedFile) -> Path:
         """Move a recording back and return its path.

@@ -1,42 +1,80 @@
 """Errors of the REST interface as `application/problem+json` (RFC 9457)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
+from typing import Any
 
 from fastapi import FastAPI, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.routing import BaseRoute
 
+from app.http.methods import list_allowed_methods
+from app.messages.runs import Run
 from app.messages.system import Problem
 from config.errors import GraspwatchError, RefusedError, ServiceError
 
-PROBLEM_RESPONSE = {"content": {"application/problem+json": {"schema": Problem.model_json_schema()}}}
+PROBLEM_MEDIA_TYPE = "application/problem+json"
+PROBLEM_RESPONSE = {"content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
+JSON_FAULTS = {
+    "Expecting value": "a value is missing here, or it is no JSON value",
+    "Expecting property name enclosed in double quotes": "a name in double quotes is expected here",
+    "Expecting ',' delimiter": "a comma or a closing bracket is missing before this place",
+    "Expecting ':' delimiter": "a colon is missing before this place",
+    "Extra data": "the JSON has ended before this place, and more follows",
+    "Unterminated string starting at": "the text that begins here has no closing quotation mark",
+    "Invalid control character at": "a text may not contain a line break or another control character",
+    "Illegal trailing comma before end of object": "the comma before the closing bracket is too much",
+    "Illegal trailing comma before end of array": "the comma before the closing bracket is too much",
+}
+"""What is wrong with a body, by the words of Python's `json`; versions from 3.13 on know the trailing commas."""
 
 
 class ProblemError(Exception):
-    """An error response to a request; `field` names the wrong part of the body."""
+    """An error response to a request; `field` names the wrong part of the body, `run` the run that is in the way."""
 
     def __init__(
-        self, status: HTTPStatus, detail: str, field: str | None = None, headers: dict[str, str] | None = None
+        self,
+        status: HTTPStatus,
+        detail: str,
+        field: str | None = None,
+        headers: dict[str, str] | None = None,
+        run: Run | None = None,
     ) -> None:
         super().__init__(detail)
-        self.status, self.detail, self.field, self.headers = status, detail, field, headers
+        self.status, self.detail, self.field, self.headers, self.run = status, detail, field, headers, run
 
     def response(self) -> JSONResponse:
         errors = [{"field": self.field, "message": self.detail}] if self.field else None
-        return _problem_response(self.status, self.detail, errors, self.headers)
+        return _problem_response(self.status, self.detail, errors, self.headers, self.run)
 
 
 def _problem_response(
-    status: int, detail: str, errors: list[dict[str, str]] | None = None, headers: Mapping[str, str] | None = None
+    status: int,
+    detail: str,
+    errors: list[dict[str, str]] | None = None,
+    headers: Mapping[str, str] | None = None,
+    run: Run | None = None,
 ) -> JSONResponse:
-    problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, errors=errors)
-    return JSONResponse(problem.model_dump(exclude_none=True), status, headers, media_type="application/problem+json")
+    problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, errors=errors, run=run)
+    absent = {name for name in ("errors", "run") if getattr(problem, name) is None}
+    return JSONResponse(problem.model_dump(mode="json", exclude=absent), status, headers, media_type=PROBLEM_MEDIA_TYPE)
 
 
-def add_error_handlers(app: FastAPI) -> None:
-    """Make `app` answer every error with problem details."""
+def _describe_fault(fault: Mapping[str, Any], body: object) -> dict[str, str]:
+    """Return field and message of one of FastAPI's validation errors; broken JSON is named by line and column."""
+    if fault["type"] == "json_invalid" and isinstance(body, str):
+        before = body[: fault["loc"][-1]]
+        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        said = fault["ctx"]["error"]
+        message = f"No valid JSON at line {line}, column {column}: {JSON_FAULTS.get(said, said)}."
+        return {"field": "body", "message": message}
+    return {"field": ".".join(str(part) for part in fault["loc"][1:]) or "body", "message": fault["msg"]}
+
+
+def add_error_handlers(app: FastAPI, routes: Sequence[BaseRoute]) -> None:
+    """Make `app` answer every error with problem details; `routes` are those of its routers."""
 
     @app.exception_handler(ProblemError)
     async def on_problem(request: Request | WebSocket, error: ProblemError) -> JSONResponse | None:
@@ -47,10 +85,7 @@ def add_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def on_invalid(request: Request, error: RequestValidationError) -> JSONResponse:
-        errors = [
-            {"field": ".".join(str(part) for part in fault["loc"][1:]) or "body", "message": fault["msg"]}
-            for fault in error.errors()
-        ]
+        errors = [_describe_fault(fault, error.body) for fault in error.errors()]
         detail = "; ".join(f"{fault['field']}: {fault['message']}" for fault in errors)
         return _problem_response(HTTPStatus.UNPROCESSABLE_ENTITY, detail, errors)
 
@@ -68,4 +103,17 @@ def add_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def on_http(request: Request, error: HTTPException) -> JSONResponse:
+        if error.status_code in (HTTPStatus.NOT_FOUND, HTTPStatus.METHOD_NOT_ALLOWED):
+            allowed = list_allowed_methods([*routes, *app.routes], request.scope)
+            if allowed and request.method not in allowed:
+                return _refuse_method(request, allowed)
+            if request.scope["path"].startswith("/api/"):  # the dashboard's files, which come last, answered
+                return _problem_response(HTTPStatus.NOT_FOUND, "There is nothing at this address.")
         return _problem_response(error.status_code, str(error.detail), headers=error.headers)
+
+
+def _refuse_method(request: Request, allowed: list[str]) -> JSONResponse:
+    """Name every method of a path."""
+    methods = ", ".join(allowed)
+    detail = f"This address does not answer {request.method}. It answers {methods}."
+    return _problem_response(HTTPStatus.METHOD_NOT_ALLOWED, detail, headers={"Allow": methods})

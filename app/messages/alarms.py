@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from app.messages.base import PersonName, Record, Request
+from app.messages.base import EventNumber, PersonName, Record, Request
 from estimator.force_alarms import Priority
 
 
@@ -18,6 +18,7 @@ class Alarm(Record):
     """An alarm began, changed or ended. It keeps its `id` until it is neither `active` nor `latched`."""
 
     type: Literal["alarm"] = "alarm"
+    number: EventNumber = None
     id: str
     kind: AlarmKind
     priority: Priority

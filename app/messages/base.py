@@ -13,6 +13,9 @@ SCHEMA_VERSION = 3
 """The version of REST bodies and live stream; raised when a field is removed, retyped or given another meaning."""
 
 PersonName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"\S")]
+EventNumber = Annotated[
+    int | None, Field(description="Number in the live stream, one more than that of the event before; elsewhere null")
+]
 Reason = Annotated[str, Field(min_length=3, max_length=300, pattern=r"\S")]
 
 

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field
 
-from app.messages.base import Record
+from app.messages.base import EventNumber, Record
 from estimator.estimate_block import GraspRecord, IdentificationResult
 from estimator.force_alarms import Priority
 
@@ -32,6 +32,9 @@ class Grasp(GraspRecord, Record):
 
 
 class GraspEnded(Record):
+    """A grasp ended."""
+
     type: Literal["grasp"] = "grasp"
+    number: EventNumber = None
     run_id: str | None
     grasp: Grasp

@@ -5,6 +5,11 @@ oldest frames, but never a message. A viewer answers each frame with `FrameRecei
 `/api/recordings/{name}/replay` sends the same for a recording, and a `ReplayState` at every change and ten times a
 second. It obeys `ReplayControl`; after a jump it begins again with a `Hello`.
 
+Events (`EventMessage`, `Alarm`, `GraspEnded`) are numbered in the order in which they are sent.
+`/api/live?after=NUMBER` goes on after an event: `Hello`, `State`, every event after it, then the alarms that are on.
+The service keeps the last 1,000 events; if it does not have all of them, `Hello.resumed` is false and the stream
+begins anew.
+
 Binary frame, little-endian: `FRAME_HEADER`, then `columns` float32 columns of `rows` values each, in the order of
 `Hello.channels`; NaN means "no value". Rows are consecutive ticks (1 tick = 1 sample) beginning at `first_tick`.
 
@@ -19,7 +24,7 @@ from pydantic import Field
 
 from acquisition.safety_state_machine import Safety
 from app.messages.alarms import Alarm
-from app.messages.base import SCHEMA_VERSION, Message, Request
+from app.messages.base import SCHEMA_VERSION, EventNumber, Message, Request
 from app.messages.grasps import GraspEnded, Identification
 from app.messages.runs import Run
 from app.messages.tool import HoldableInfo, LibraryInfo, ToolInfo
@@ -75,6 +80,11 @@ class Hello(Message):
     warning_shares: list[float] = Field(description="Low, medium and high warning, as shares of the threshold")
     channels: list[ChannelInfo]
     frame_rate_hz: float
+    resumed: bool | None = Field(
+        default=None,
+        description="Whether the stream goes on after the event that the viewer named (`after`); false: the service no "
+        "longer has all events since, and the stream begins anew; null: the viewer named none",
+    )
 
 
 class RecordingState(Message):
@@ -111,12 +121,16 @@ class State(Message):
     recording: RecordingState
     free_disk_bytes: int | None = Field(description="Null: the data folder is missing")
     faults: list[str]
+    event_number: int | None = Field(
+        default=None, description="Number of the newest event before this state; null before the first events are sent"
+    )
 
 
 class EventMessage(Message):
     """A line for the log, such as a start, a stop, a refusal, a loss, or the withdrawal of a tissue's name."""
 
     type: Literal["event"] = "event"
+    number: EventNumber = None
     server_time_ms: float
     text: str
 

@@ -5,6 +5,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from app.messages.base import Message
+from app.messages.runs import Run
 from app.messages.tool import ConstantInfo, ForceScaleInfo
 
 
@@ -43,3 +44,4 @@ class Problem(Message):
     errors: list[dict[str, str]] | None = Field(
         default=None, description="For status 422: each wrong field and the reason"
     )
+    run: Run | None = Field(default=None, description="For status 409: the run under way, if that is why")

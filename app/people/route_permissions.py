@@ -1,18 +1,14 @@
 """The roles that all routes declare, for the authentication and for the API's description."""
 
 from collections.abc import Iterable, Mapping
-from http import HTTPStatus
-from typing import Any
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter
 from fastapi.routing import APIRoute, APIWebSocketRoute
 
-from app.http.problems import PROBLEM_RESPONSE
 from app.messages.people import Role
 from app.people.authorization import RoleRequirement
 
 RoutePermissions = Mapping[tuple[str, str], Role | None]
-REFUSAL_STATUSES = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
 
 
 def collect_route_permissions(routers: Iterable[APIRouter]) -> RoutePermissions:
@@ -34,24 +30,3 @@ def collect_route_permissions(routers: Iterable[APIRouter]) -> RoutePermissions:
 
 def find_public_paths(permissions: RoutePermissions) -> set[str]:
     return {path for (_, path), role in permissions.items() if role is None}
-
-
-def add_roles_to_openapi(app: FastAPI, permissions: RoutePermissions) -> None:
-    """Add the role and the refusals of each operation to the API's description."""
-    plain = app.openapi
-
-    def described() -> dict[str, Any]:
-        if app.openapi_schema is None:
-            schema = plain()
-            schema["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
-            for (method, path), role in permissions.items():
-                operation = schema["paths"].get(path, {}).get(method.lower())
-                if operation and role:
-                    operation |= {"security": [{"token": []}], "x-role": role.value}
-                    for status in REFUSAL_STATUSES:
-                        operation["responses"].setdefault(
-                            str(status.value), {"description": status.phrase, **PROBLEM_RESPONSE}
-                        )
-        return app.openapi_schema or {}
-
-    app.openapi = described

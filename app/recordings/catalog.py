@@ -80,12 +80,15 @@ class RecordingCatalog:
         self._summaries: dict[_CatalogFile, _FileSummary] = {}
         self._read_task: asyncio.Task[None] | None = None
 
-    async def list_recordings(self) -> Recordings:
-        """Return the known recordings, the command line's first, then the newest; read others in the background."""
+    async def list_recordings(self, *, read_new: bool = True) -> Recordings:
+        """Return the known recordings, the command line's first, then the newest.
+
+        With `read_new`, files that were not read yet are read in the background.
+        """
         files = await asyncio.to_thread(self._scan_files)
         self._summaries = {file: self._summaries[file] for file in files.values() if file in self._summaries}
         unread = [file for file in files.values() if file not in self._summaries]
-        if unread and (self._read_task is None or self._read_task.done()):
+        if read_new and unread and (self._read_task is None or self._read_task.done()):
             self._read_task = asyncio.create_task(self._read_in_background(unread[:MAX_FILES_PER_READ]))
         return Recordings(
             folder=str(self._plan.recordings_folder), recordings=[self._build_info(*item) for item in files.items()]
@@ -99,7 +102,7 @@ class RecordingCatalog:
         """
         file = (await asyncio.to_thread(self._scan_files)).get(name)
         if file is None:
-            raise RefusedError(f"There is no recording {name!r}. GET /api/recordings lists them.", "name")
+            raise RefusedError(f"There is no recording {name!r}. See the list of recordings.", "name")
         return file.path
 
     def is_opened(self, path: Path) -> bool:

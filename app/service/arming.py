@@ -133,9 +133,4 @@ class ArmingController:
         """
         if self.safety is not Safety.FAULTED:
             return
-        alarm = next(
-            (alarm for alarm in self._alarms.current_alarms() if self._alarms.find_key(alarm.id) == FAULT_ALARM_KEY),
-            None,
-        )
-        where = f" (POST /api/alarms/{alarm.id}/acknowledge)" if alarm else ""
-        raise RefusedError(f"A fault is latched: {self.why}. Acknowledge its alarm{where}, then start again.")
+        raise RefusedError(f"A fault is latched: {self.why}. Acknowledge its alarm, then start again.")

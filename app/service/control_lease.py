@@ -33,7 +33,7 @@ class ControlLease:
         if before not in (None, name) and not take_over:
             raise RefusedError(
                 f"{before} has control of the tool, and keeps it for another {self.expires_in_s / 60:.1f} min without "
-                "doing anything. Wait, ask for it, or take it over (POST /api/control with `take_over: true`).",
+                "doing anything. Wait, ask for it, or take it over (programs: `take_over`).",
                 "control",
             )
         self._holder_name, self._last_action_s = name, self._clock()

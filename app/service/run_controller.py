@@ -13,7 +13,7 @@ from app.messages.runs import Run, RunState
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
 from app.service.publisher import Publisher
-from app.service.runs import RunRegistry
+from app.service.runs import RunRegistry, RunUnderWayError
 from app.service.sample_monitor import SampleMonitor
 from app.service.state_reporter import StateReporter
 from app.service.supervisor import Supervisor
@@ -96,7 +96,7 @@ class RunController:
         if self._shutting_down:
             raise RefusedError("The service is being ended: start nothing any more.")
         if self._runs.current:
-            raise RefusedError(f"Run {self._runs.current.id} is under way. Stop it first.")
+            raise RunUnderWayError(self._runs.current)
 
     async def _send_start(self, command: bus.StartCommand) -> None:
         """Send the start to the acquisition, and discard the run if that fails."""

@@ -6,10 +6,20 @@ from datetime import UTC, datetime
 
 from app.messages.grasps import Grasp
 from app.messages.runs import Run, RunState
+from config.errors import RefusedError
 from config.schema import ToolKind
 from config.service_plan import ServicePlan
 
 MAX_RUNS = 1_000
+
+
+class RunUnderWayError(RefusedError):
+    """A start is refused because `run` is under way."""
+
+    def __init__(self, run: Run) -> None:
+        by = f", started by {run.by}" if run.by else ""
+        super().__init__(f"A run is under way: {run.protocol}{by} (run {run.id}). Stop it first, or wait for its end.")
+        self.run = run
 
 
 @dataclass(slots=True)

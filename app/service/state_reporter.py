@@ -62,6 +62,7 @@ class StateReporter:
             recording=self.recorder_link.state,
             free_disk_bytes=self.checks.free_disk_bytes,
             faults=self.publisher.alarms.technical_alarm_texts(),
+            event_number=self.publisher.viewer_hub.newest_event_number,
         )
 
     @property

@@ -3,9 +3,9 @@
 import asyncio
 import time
 from datetime import UTC, datetime
-from typing import Any
 
 import zmq.asyncio
+from pydantic import BaseModel
 
 from acquisition.worker_process import take_server_priority
 from app.host.logs import LogContext
@@ -134,19 +134,23 @@ class ToolService:
         self.state.publish()
         return True
 
-    def initial_messages(self) -> tuple[list[Any], list[bytes]]:
-        """Return a new viewer's first messages, and frames with the last seconds of samples."""
-        plan = self.plan
-        messages: list[Any] = [
-            build_hello(plan, plan.tool, recording=bool(plan.opened_recordings)),
-            self.state.build(),
-            *self.alarms.current_alarms(),
+    def initial_messages(self, after: int | None = None) -> tuple[list[BaseModel], list[bytes]]:
+        """Return a viewer's first messages, and frames with the last seconds of samples.
+
+        A viewer that has received all events up to `after` gets those after it instead of the last run's grasps.
+        """
+        missed = None if after is None else self.viewer_hub.list_events_after(after)
+        hello = build_hello(self.plan, self.plan.tool, recording=bool(self.plan.opened_recordings))
+        messages: list[BaseModel] = [
+            hello.model_copy(update={"resumed": None if after is None else missed is not None}),
+            self.state.build().model_copy(update={"event_number": None}),
         ]
-        run = self.runs.last
-        if run:
-            messages += [
-                GraspEnded(run_id=run.id, grasp=grasp) for grasp in self.runs.list_grasps(run.id)[-MAX_INITIAL_GRASPS:]
-            ]
+        if missed is not None:
+            messages += missed
+        elif run := self.runs.last:
+            grasps = self.runs.list_grasps(run.id)[-MAX_INITIAL_GRASPS:]
+            messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in grasps]
+        messages += self.alarms.current_alarms()
         if self._live_stream.identification:
             messages.append(self._live_stream.identification)
         return messages, self._live_stream.history_frames()

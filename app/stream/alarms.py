@@ -155,8 +155,7 @@ class AlarmManager:
         """
         key = self.find_key(alarm_id)
         if key is None:
-            text = f"There is no alarm {alarm_id!r} any more. GET /api/alarms lists those that are on."
-            raise RefusedError(text, "id")
+            raise RefusedError("There is no alarm of this kind any more: nothing is left to acknowledge.", "id")
         if PRIORITY_RANK[self._alarms[key].priority] > PRIORITY_RANK[seen_priority]:
             raise RefusedError("The alarm is worse by now: look at it again.", "priority")
         return key

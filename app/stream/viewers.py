@@ -7,9 +7,13 @@ from collections.abc import Callable
 from fastapi import WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from app.messages.live import FRAME_HEADER, FrameReceived, ReplayControl
+from app.host.clock import now_ms
+from app.messages.alarms import Alarm
+from app.messages.grasps import GraspEnded
+from app.messages.live import FRAME_HEADER, EventMessage, FrameReceived, ReplayControl
 
 MAX_QUEUED_MESSAGES = 2_000  # messages are never dropped: a viewer with more unread is disconnected
+MAX_KEPT_EVENTS = 1_000  # that a viewer can catch up on after it was disconnected
 SEQUENCE_FIELD_INDEX = 5  # of FRAME_HEADER
 MAX_QUEUED_FRAMES = 30  # a second of frames; the oldest are dropped first
 LIVE_VIEWER_MESSAGE: TypeAdapter[FrameReceived] = TypeAdapter(FrameReceived)
@@ -113,16 +117,32 @@ class Viewer:
 
 
 class ViewerHub:
-    """All viewers of the live stream."""
+    """All viewers of the live stream, and the newest events: log lines, changes of alarms, and ended grasps.
+
+    Events are numbered. The numbers of a service begin at the time of its start in milliseconds, so they are greater
+    than all numbers of an earlier service.
+    """
 
     def __init__(self, window_frames: int) -> None:
         self._window_frames = window_frames
         self.viewers: set[Viewer] = set()
+        self.newest_event_number = int(now_ms())
+        self._events: deque[EventMessage | Alarm | GraspEnded] = deque(maxlen=MAX_KEPT_EVENTS)
 
     def broadcast(self, message: BaseModel) -> None:
+        """Send a message to all viewers; number it and keep it if it is an event."""
+        if isinstance(message, EventMessage | Alarm | GraspEnded):
+            self.newest_event_number += 1
+            message = message.model_copy(update={"number": self.newest_event_number})
+            self._events.append(message)
         text = message.model_dump_json()
         for viewer in self.viewers:
             viewer.send(text)
+
+    def list_events_after(self, number: int) -> list[EventMessage | Alarm | GraspEnded] | None:
+        """Return the events after `number`; None if not all of them are kept, or there was no such event."""
+        missed = self.newest_event_number - number
+        return list(self._events)[len(self._events) - missed :] if 0 <= missed <= len(self._events) else None
 
     def broadcast_frame(self, frame: bytes) -> None:
         for viewer in self.viewers:

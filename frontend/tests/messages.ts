@@ -50,6 +50,7 @@ export const hello = (values: Partial<Hello> = {}): Hello => ({
     channel("probability_unknown"),
   ],
   frame_rate_hz: 30,
+  resumed: null,
   ...values,
 });
 
@@ -72,6 +73,7 @@ export const state = (values: Partial<State> = {}): State => ({
   recording: { enabled: false, file: null, samples: 0, missing_blocks: 0, problem: null },
   free_disk_bytes: null,
   faults: [],
+  event_number: null,
   ...values,
 });
 
@@ -101,6 +103,7 @@ export const identification = (values: Partial<Identification> = {}): Identifica
 
 export const alarm = (values: Partial<Alarm> = {}): Alarm => ({
   type: "alarm",
+  number: null,
   id: "force",
   kind: "force",
   priority: "high",
@@ -119,6 +122,7 @@ export const alarm = (values: Partial<Alarm> = {}): Alarm => ({
 
 export const graspEnded = (runId: string | null, index: number): GraspEnded => ({
   type: "grasp",
+  number: null,
   run_id: runId,
   grasp: {
     index,

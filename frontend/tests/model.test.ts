@@ -51,6 +51,15 @@ describe("Model", () => {
     assert.notEqual(model.ring, ring);
   });
 
+  it("says that events were missed, if the server could not catch up on them", () => {
+    const model = greeted();
+    model.onMessage({ type: "event", number: 7, server_time_ms: 0, text: "Run started" }, 0);
+    model.onMessage(hello({ resumed: true }), 10);
+    assert.equal(model.lastEvent, "Run started");
+    model.onMessage(hello({ resumed: false }), 20);
+    assert.match(model.lastEvent ?? "", /Events were missed.*journal/);
+  });
+
   it("remembers when the grasp ended, until the next one begins", () => {
     const model = greeted();
     model.onMessage(identification({ in_grasp: false }), 100);

@@ -2,7 +2,7 @@
 
 import asyncio
 import ssl
-from collections.abc import Coroutine
+from collections.abc import AsyncGenerator, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,10 +10,12 @@ from typing import Any, TypeVar
 import numpy as np
 import pytest
 from certificates import self_signed
+from proxy import Line
 from service import Service
 
-from app.messages.grasps import Identification
-from app.messages.live import Hello
+from app.messages.alarms import Alarm
+from app.messages.grasps import GraspEnded, Identification
+from app.messages.live import EventMessage, Hello
 from app.messages.people import Role
 from app.messages.runs import RunState
 from app.people import tokens
@@ -105,6 +107,49 @@ def test_a_refusal_says_what_is_wrong_and_which_field(service: Service) -> None:
             assert refused.value.status == 404
 
     run(program())
+
+
+def test_a_start_with_a_key_is_carried_out_once(service: Service) -> None:
+    async def program() -> tuple[str, str]:
+        async with Graspwatch(service.url) as tool:
+            runs = [await tool.start("trapezoid_025hz", tissue="liver", idempotency_key="one") for _ in range(2)]
+            await tool.stop()
+            return runs[0].id, runs[1].id
+
+    first, second = run(program())
+    assert first == second
+
+
+def test_a_program_that_lost_the_stream_goes_on_where_it_was(service: Service) -> None:
+    async def events(tool: Graspwatch, after: int | None, last: str) -> AsyncGenerator[int, None]:
+        """Yield the numbers of events up to one whose text begins with `last`."""
+        async for message in tool.messages(frames=False, after=after):
+            if isinstance(message, Hello):
+                assert message.resumed is (None if after is None else True)
+            if isinstance(message, EventMessage | GraspEnded | Alarm) and message.number:
+                yield message.number
+                if isinstance(message, EventMessage) and message.text.startswith(last):
+                    return
+
+    async def program(line: Line) -> list[int]:
+        seen: list[int] = []
+        async with Graspwatch(line.url) as tool, Graspwatch(service.url) as other:
+            watching = events(tool, None, "no such event")
+            start = asyncio.create_task(other.start("trapezoid_4hz", cycles=1, tissue="liver"))
+            seen.append(await anext(watching))
+            line.cut()
+            with pytest.raises(ConnectionLostError) as lost:
+                seen.extend([number async for number in watching])
+            assert lost.value.last_event == seen[-1]
+            await other.finished(await start, 20)
+            line.mend()
+            seen.extend([number async for number in events(tool, lost.value.last_event, "Run finished")])
+        return seen
+
+    with Line(service.port) as line:
+        seen = run(program(line))
+    assert seen == list(range(seen[0], seen[0] + len(seen)))
+    assert len(seen) > 3
 
 
 def test_a_recording_is_saved_once_and_never_over_another(service: Service, tmp_path: Path) -> None:

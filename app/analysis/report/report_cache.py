@@ -66,6 +66,15 @@ class ReportCache:
         making.task.add_done_callback(lambda task: task.cancelled() or task.exception())  # the next request raises it
         return making.done_share
 
+    async def find_report(self, recording: Path) -> Path | None:
+        """Return the page of a recording, None if it has not been built.
+
+        Raises:
+            RecordingError: the recording is gone.
+        """
+        page = await asyncio.to_thread(self._page_path, recording)
+        return page if await asyncio.to_thread(page.is_file) else None
+
     def _page_path(self, recording: Path) -> Path:
         try:
             found = recording.stat()

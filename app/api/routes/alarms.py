@@ -6,6 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 
 from app.api.dependencies import ToolServiceDep
+from app.http.audit_middleware import note_request
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.messages.alarms import AcknowledgeRequest, Alarm
 from app.messages.journal import JournalEntry
@@ -17,7 +18,7 @@ router = APIRouter(prefix="/api", tags=["alarms"])
 
 
 @router.get("/alarms", dependencies=[require_role(Role.VIEWER)])
-async def alarms(tool_service: ToolServiceDep) -> list[Alarm]:
+async def list_alarms(tool_service: ToolServiceDep) -> list[Alarm]:
     """List alarms whose cause is present, and latched alarms that were not acknowledged."""
     return tool_service.alarms.current_alarms()
 
@@ -30,8 +31,11 @@ async def alarms(tool_service: ToolServiceDep) -> list[Alarm]:
         409: {"description": "Worse by now", **PROBLEM_RESPONSE},
     },
 )
-async def acknowledge(request: Request, tool_service: ToolServiceDep, alarm_id: str, body: AcknowledgeRequest) -> Alarm:
+async def acknowledge_alarm(
+    request: Request, tool_service: ToolServiceDep, alarm_id: str, body: AcknowledgeRequest
+) -> Alarm:
     """Acknowledge an alarm. Every page silences it, and shows it until its cause is gone."""
+    note_request(request, description=f"Acknowledge {alarm_id}")
     by = require_requester_name(request, body.by)
     try:
         return await tool_service.arming.acknowledge(alarm_id, body.priority, by)
@@ -41,6 +45,8 @@ async def acknowledge(request: Request, tool_service: ToolServiceDep, alarm_id: 
 
 
 @router.get("/journal", dependencies=[require_role(Role.VIEWER)])
-async def journal(tool_service: ToolServiceDep, most: Annotated[int, Query(ge=1, le=2000)] = 200) -> list[JournalEntry]:
+async def list_journal(
+    tool_service: ToolServiceDep, most: Annotated[int, Query(ge=1, le=2000)] = 200
+) -> list[JournalEntry]:
     """List what happened and who did it since the service started, newest first."""
     return tool_service.journal.newest_entries(most)

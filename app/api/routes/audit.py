@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
@@ -35,20 +35,37 @@ class ExportQuery(BaseModel):
 
 @router.get(
     "/check",
+    response_model=JournalCheck,
     dependencies=[require_role(Role.VIEWER)],
     responses={503: {"description": "The index cannot be asked", **PROBLEM_RESPONSE}},
 )
-async def check(chain: JournalWatchDep) -> JournalCheck:
+async def check_journal(request: Request, chain: JournalWatchDep) -> JournalCheck | Response:
     """Check by the hash chain and the index whether any line was changed, removed, inserted or moved.
 
     `graspwatch audit verify` also checks the recordings. The result is cached for five seconds.
     """
+    if request.method == "HEAD":
+        return Response(media_type="application/json")
     return await chain.check()
 
 
-@router.get("/export", dependencies=[require_role(Role.ADMIN)], response_class=StreamingResponse)
-async def export_journal(tool_service: ToolServiceDep, query: Annotated[ExportQuery, Query()]) -> StreamingResponse:
+@router.get(
+    "/export",
+    dependencies=[require_role(Role.ADMIN)],
+    response_class=StreamingResponse,
+    responses={
+        200: {
+            "description": "The lines",
+            "content": {each: {"schema": {"type": "string"}} for each in MEDIA_TYPES.values()},
+        }
+    },
+)
+async def export_journal(
+    request: Request, tool_service: ToolServiceDep, query: Annotated[ExportQuery, Query()]
+) -> StreamingResponse:
     """Return the journal, oldest line first, as CSV or as the original JSON lines."""
     lines = export_lines(tool_service.plan.data_folder, JournalFilter(query.since, query.until, query.by), query.format)
     headers = {"Content-Disposition": f'attachment; filename="graspwatch-journal.{query.format.value}"'}
-    return StreamingResponse(lines, media_type=MEDIA_TYPES[query.format], headers=headers)
+    return StreamingResponse(
+        () if request.method == "HEAD" else lines, media_type=MEDIA_TYPES[query.format], headers=headers
+    )

@@ -38,7 +38,7 @@ async def list_deleted_recordings(recording_bin: RecordingBinDep) -> BinContent:
         503: {"description": "It cannot be restored", **PROBLEM_RESPONSE},
     },
 )
-async def restore(
+async def restore_recording(
     request: Request, recording_bin: RecordingBinDep, entry: str, by: RequesterQuery = None
 ) -> FileRecord:
     """Restore a deleted recording; only an admin may. The journal records who did it."""
@@ -56,6 +56,6 @@ async def restore(
     responses=FORBIDDEN_RESPONSE
     | {503: {"description": "It cannot be emptied, or not be written down", **PROBLEM_RESPONSE}},
 )
-async def empty(request: Request, recording_bin: RecordingBinDep, by: RequesterQuery = None) -> Emptied:
+async def empty_bin(request: Request, recording_bin: RecordingBinDep, by: RequesterQuery = None) -> Emptied:
     """Remove all recordings in the bin permanently; only an admin may. The journal records which, and who did it."""
     return await recording_bin.empty(require_requester_name(request, by))

@@ -22,7 +22,7 @@ CONFLICT_RESPONSE: dict[int | str, dict[str, Any]] = {
 
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
-async def calibration(calibration_session: CalibrationDep) -> Calibration:
+async def get_calibration(calibration_session: CalibrationDep) -> Calibration:
     """Return the calibration under way, or the last one."""
     return calibration_session.state
 
@@ -33,7 +33,7 @@ async def calibration(calibration_session: CalibrationDep) -> Calibration:
     status_code=HTTPStatus.CREATED,
     responses=CONFLICT_RESPONSE | {503: {"description": "The new tool file could not be written", **PROBLEM_RESPONSE}},
 )
-async def begin(
+async def begin_calibration(
     request: Request,
     calibration_session: CalibrationDep,
     tool_service: ToolServiceDep,
@@ -59,7 +59,9 @@ async def begin(
     dependencies=[require_role(Role.OPERATOR)],
     responses=CONFLICT_RESPONSE | {503: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
 )
-async def read(request: Request, calibration_session: CalibrationDep, tool_service: ToolServiceDep) -> Calibration:
+async def take_calibration_reading(
+    request: Request, calibration_session: CalibrationDep, tool_service: ToolServiceDep
+) -> Calibration:
     """Take the next reading, and answer once it is taken. For `stretch` and `geometry` the jaws close gently."""
     note_request(request, description="Take a reading for a calibration")
     check_has_tool(tool_service)
@@ -74,7 +76,9 @@ async def read(request: Request, calibration_session: CalibrationDep, tool_servi
 
 
 @router.delete("", dependencies=[require_role(Role.OPERATOR)], responses=CONFLICT_RESPONSE)
-async def abandon(request: Request, calibration_session: CalibrationDep, tool_service: ToolServiceDep) -> Calibration:
+async def discard_calibration(
+    request: Request, calibration_session: CalibrationDep, tool_service: ToolServiceDep
+) -> Calibration:
     """Discard the calibration under way. No tool file is written."""
     check_has_tool(tool_service)
     acquire_control(request, tool_service)

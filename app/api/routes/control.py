@@ -37,7 +37,7 @@ def acquire_control(request: Request, tool_service: ToolService, *, take_over: b
 
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
-async def control(tool_service: ToolServiceDep) -> ControlInfo:
+async def get_control(tool_service: ToolServiceDep) -> ControlInfo:
     """Return who has control."""
     lease = tool_service.control_lease
     return ControlInfo(holder=lease.holder, expires_in_s=lease.expires_in_s)
@@ -48,11 +48,13 @@ async def control(tool_service: ToolServiceDep) -> ControlInfo:
     dependencies=[require_role(Role.OPERATOR)],
     responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
-async def take(request: Request, tool_service: ToolServiceDep, body: Annotated[ControlRequest, Body()]) -> ControlInfo:
+async def take_control(
+    request: Request, tool_service: ToolServiceDep, body: Annotated[ControlRequest, Body()]
+) -> ControlInfo:
     """Acquire or extend control. A start does so too, but only this request can take control over from another user."""
     _require_user_name(request)
     acquire_control(request, tool_service, take_over=body.take_over)
-    return await control(tool_service)
+    return await get_control(tool_service)
 
 
 @router.delete(
@@ -60,13 +62,13 @@ async def take(request: Request, tool_service: ToolServiceDep, body: Annotated[C
     dependencies=[require_role(Role.OPERATOR)],
     responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
-async def give_back(request: Request, tool_service: ToolServiceDep) -> ControlInfo:
+async def release_control(request: Request, tool_service: ToolServiceDep) -> ControlInfo:
     """Release control. It is refused if another user has control, and changes nothing if control is free."""
     name = _require_user_name(request)
     if not tool_service.release_control(name) and tool_service.control_lease.holder:
         holder = tool_service.control_lease.holder
         raise ProblemError(HTTPStatus.CONFLICT, f"{holder} has control. Only {holder} can release it.")
-    return await control(tool_service)
+    return await get_control(tool_service)
 
 
 def _require_user_name(request: Request) -> str:

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 @router.get("/grasps", dependencies=[require_role(Role.VIEWER)])
-async def grasps(
+async def list_grasps(
     request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[GraspQuery, Query()]
 ) -> list[GraspEnded]:
     """List the grasps of all runs, newest first by default."""
@@ -30,7 +30,7 @@ async def grasps(
 
 
 @router.get("/alarms/history", dependencies=[require_role(Role.VIEWER)])
-async def alarms(
+async def list_alarm_history(
     request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[AlarmQuery, Query()]
 ) -> list[Alarm]:
     """List present and past alarms, each in its last state, newest first by default."""
@@ -39,7 +39,7 @@ async def alarms(
 
 
 @router.get("/audit", dependencies=[require_role(Role.VIEWER)])
-async def audit(
+async def list_journal_history(
     request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[AuditQuery, Query()]
 ) -> list[JournalEntry]:
     """List the lines of the journal, newest first by default: what happened and who did it."""
@@ -48,7 +48,7 @@ async def audit(
 
 
 @router.get("/files", dependencies=[require_role(Role.VIEWER)])
-async def files(
+async def list_recording_files(
     request: Request, tool_service: ToolServiceDep, response: Response, query: Annotated[FileQuery, Query()]
 ) -> list[FileRecord]:
     """List the recordings of runs, newest first by default; deleted ones say who deleted them."""

@@ -1,6 +1,8 @@
 """The WebSocket of the live stream."""
 
-from fastapi import APIRouter, WebSocket
+from typing import Annotated
+
+from fastapi import APIRouter, Query, WebSocket
 
 from app.api.dependencies import ToolServiceDep
 from app.messages.people import Role
@@ -10,11 +12,15 @@ router = APIRouter()
 
 
 @router.websocket("/api/live", dependencies=[require_role(Role.VIEWER)])
-async def live(socket: WebSocket, tool_service: ToolServiceDep) -> None:
-    """Send a `Hello`, the last seconds of samples, then everything as it happens; see app/messages/live.py."""
+async def live(
+    socket: WebSocket,
+    tool_service: ToolServiceDep,
+    after: Annotated[int | None, Query(description="Number of the last event that the viewer has received")] = None,
+) -> None:
+    """Send a `Hello`, the last seconds of samples, then everything as it happens; with `after`, no event is missed."""
     await socket.accept()
     if len(tool_service.viewer_hub.viewers) >= tool_service.plan.settings.server.max_viewers:
         await socket.close(1013, "too many viewers; try again later")
         return
-    messages, history = tool_service.initial_messages()
+    messages, history = tool_service.initial_messages(after)
     await tool_service.viewer_hub.serve_viewer(socket, messages, history)

@@ -11,7 +11,7 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 
 from app.api.dependencies import CatalogDep, RecordingBinDep, ReplayCachesDep, ReportsDep, ToolServiceDep
 from app.api.routes.studies import REPORT_POLICY
-from app.http.audit_middleware import describe_client
+from app.http.audit_middleware import describe_client, note_request
 from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.index.queries import RecordingQuery
@@ -35,11 +35,11 @@ WAITING_PAGE_POLICY = (
 
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
-async def recordings(
+async def list_recordings(
     request: Request, catalog: CatalogDep, response: Response, query: Annotated[RecordingQuery, Query()]
 ) -> Recordings:
     """List recordings that can be replayed. A duration is null until its file has been read: ask again in a second."""
-    listing = await catalog.list_recordings()
+    listing = await catalog.list_recordings(read_new=request.method != "HEAD")
     found = [recording for recording in listing.recordings if _matches(recording, query)]
     limit = query.limit or max(len(found), 1)
     set_paging_headers(request, response, limit, query.offset, len(found))
@@ -60,12 +60,16 @@ def _matches(recording: RecordingInfo, query: RecordingQuery) -> bool:
     dependencies=[require_role(Role.VIEWER)],
     response_class=FileResponse,
     responses={
+        200: {
+            "description": "The whole file",
+            "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+        },
         206: {"description": "The part that `Range` asked for"},
         404: {"description": "No such recording", **PROBLEM_RESPONSE},
         416: {"description": "There is no such part"},
     },
 )
-async def file(catalog: CatalogDep, name: str) -> FileResponse:
+async def download_recording(catalog: CatalogDep, name: str) -> FileResponse:
     """Return the recording's file, or a part of it (`Range`, `If-Range`)."""
     return FileResponse(await _find_path(catalog, name), media_type="application/octet-stream", filename=name)
 
@@ -88,7 +92,7 @@ async def _find_path(catalog: RecordingCatalog, name: str) -> Path:
         503: {"description": "It cannot be deleted, or not be written down", **PROBLEM_RESPONSE},
     },
 )
-async def delete(
+async def delete_recording(
     request: Request,
     recording_bin: RecordingBinDep,
     tool_service: ToolServiceDep,
@@ -103,6 +107,7 @@ async def delete(
 
     The journal and the index record who deleted it.
     """
+    note_request(request, description=f"Delete {name}")
     by = require_requester_name(request, by)
     path = await _find_path(catalog, name)
     _check_not_in_use(tool_service, catalog, cache_store, path)
@@ -129,13 +134,16 @@ def _check_not_in_use(
     response_class=HTMLResponse,
     responses={
         200: {"description": "The page, self-contained"},
-        202: {"description": "It is being made: how far it is, or a page that waits for it", "model": ReportProgress},
+        202: {
+            "description": "It is being made: how far it is; a browser gets a page that waits for it",
+            "content": {"application/json": {"schema": {"$ref": "#/components/schemas/ReportProgress"}}},
+        },
         404: {"description": "No such recording", **PROBLEM_RESPONSE},
         422: {"description": "The recording cannot be read", **PROBLEM_RESPONSE},
         503: {"description": "Too many reports are being made", **PROBLEM_RESPONSE},
     },
 )
-async def report(
+async def get_recording_report(
     request: Request, tool_service: ToolServiceDep, catalog: CatalogDep, reports: ReportsDep, name: str
 ) -> Response:
     """Return the recording's report. The first request makes it, which takes a second per half minute of recording.
@@ -147,7 +155,10 @@ async def report(
         tool_service.journal.write_request, "report", f"Make report of {name}", client=describe_client(request)
     )
     try:
-        made = await reports.request_report(path, partial(note, result=Result.DONE))
+        if request.method == "HEAD":  # builds nothing
+            made = await reports.find_report(path)
+        else:
+            made = await reports.request_report(path, partial(note, result=Result.DONE))
     except RecordingError as error:
         note(result=Result.FAILED, reason=str(error))
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error)) from None
@@ -161,11 +172,11 @@ async def report(
     if "text/html" in request.headers.get("accept", ""):
         policy = {"Content-Security-Policy": WAITING_PAGE_POLICY}
         return HTMLResponse(WAITING_PAGE.read_text(encoding="utf-8"), HTTPStatus.ACCEPTED, fresh | policy)
-    return JSONResponse(ReportProgress(done=made).model_dump(), HTTPStatus.ACCEPTED, fresh)
+    return JSONResponse(ReportProgress(done=made or 0.0).model_dump(), HTTPStatus.ACCEPTED, fresh)
 
 
 @router.websocket("/{name}/replay", dependencies=[require_role(Role.VIEWER)])
-async def replay(
+async def replay_recording(
     socket: WebSocket, tool_service: ToolServiceDep, catalog: CatalogDep, cache_store: ReplayCachesDep, name: str
 ) -> None:
     """Stream a recording as if it were live, with pause, seek and speed; see app/messages/live.py."""

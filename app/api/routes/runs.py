@@ -5,14 +5,14 @@ import contextlib
 from http import HTTPStatus
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Query, Request, Response
+from fastapi import APIRouter, Body, Header, Query, Request, Response
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from acquisition.protocol_player import ProtocolPlayer
 from acquisition.safety_state_machine import Safety
-from app.api.dependencies import ToolServiceDep
+from app.api.dependencies import StartedRunsDep, ToolServiceDep
 from app.api.routes.control import acquire_control
 from app.http.audit_middleware import note_request
 from app.http.pagination import set_paging_headers
@@ -24,6 +24,7 @@ from app.messages.people import Role
 from app.messages.runs import Run, RunRequest, StopAnswer, StopRequest
 from app.messages.tool import ArmRequest, SafetyReport
 from app.people.authorization import get_user, requester_name, require_role
+from app.service.runs import RunUnderWayError
 from app.service.tool_service import ToolService
 from config.errors import ConfigurationError, RefusedError, ServiceError
 from config.load import build_graspable_library, list_shipped_names, load_grasp_protocol, require_known_name
@@ -31,7 +32,14 @@ from config.schema import ToolKind
 
 router = APIRouter(prefix="/api", tags=["runs"])
 STOP_BODY_TIMEOUT_S = 0.1
-STOP_OPENAPI_BODY = {"requestBody": {"content": {"application/json": {"schema": StopRequest.model_json_schema()}}}}
+IDEMPOTENCY_DESCRIPTION = (
+    "A text of your choice, new for each start. A repeat with the same key and body gets the answer of the first "
+    "request and starts nothing; with another body it is refused. The service keeps a key for 24 hours, of each person "
+    "the last 200, and forgets all when it ends. An error is not kept."
+)
+STOP_OPENAPI_BODY = {
+    "requestBody": {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/StopRequest"}}}}
+}
 RUN_NOT_FOUND_RESPONSE: dict[int | str, dict[str, Any]] = {404: {"description": "No such run", **PROBLEM_RESPONSE}}
 
 
@@ -40,14 +48,33 @@ RUN_NOT_FOUND_RESPONSE: dict[int | str, dict[str, Any]] = {404: {"description": 
     dependencies=[require_role(Role.OPERATOR)],
     status_code=HTTPStatus.CREATED,
     responses={
-        409: {"description": "A run is under way, or somebody else has control", **PROBLEM_RESPONSE},
-        422: {"description": "A field is at fault", **PROBLEM_RESPONSE},
+        409: {"description": "A run is under way (`run`), or somebody else has control", **PROBLEM_RESPONSE},
+        422: {"description": "A field is at fault, or the key was sent with another body", **PROBLEM_RESPONSE},
         503: {"description": "The tool does not answer", **PROBLEM_RESPONSE},
     },
 )
-async def start_run(request: Request, tool_service: ToolServiceDep, body: Annotated[RunRequest, Body()]) -> Run:
+async def start_run(
+    request: Request,
+    tool_service: ToolServiceDep,
+    started_runs: StartedRunsDep,
+    body: Annotated[RunRequest, Body()],
+    idempotency_key: Annotated[
+        str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200, description=IDEMPOTENCY_DESCRIPTION)
+    ] = None,
+) -> Run:
     """Start a protocol on the tool."""
-    note_request(request, description=f"Start run {body.protocol}" + (f" on {body.tissue}" if body.tissue else ""))
+    user = get_user(request)
+    started = f"run {body.protocol}" + (f" on {body.tissue}" if body.tissue else "")
+    note_request(request, description=f"Repeat the start of {started}, which its first request has answered")
+
+    async def start() -> Run:
+        note_request(request, description=f"Start {started}")
+        return await _start_run(request, tool_service, body)
+
+    return await started_runs.answer_once(user.name if user else None, idempotency_key, body, start)
+
+
+async def _start_run(request: Request, tool_service: ToolService, body: RunRequest) -> Run:
     check_has_tool(tool_service)
     override = _unmeasured_scale_reason(request, tool_service, body.unmeasured_scale)
     try:
@@ -61,12 +88,14 @@ async def start_run(request: Request, tool_service: ToolServiceDep, body: Annota
     except RefusedError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), error.field) from None
     acquire_control(request, tool_service)
-    await _end_demo_and_check_idle(tool_service)
     by = requester_name(request, body.by)
     try:
+        await _end_demo_and_check_idle(tool_service)
         return await tool_service.run_controller.start(
             protocol, cycles, body.tissue or tool_service.runs.simulated_tissue, by, override
         )
+    except RunUnderWayError as error:
+        raise ProblemError(HTTPStatus.CONFLICT, str(error), run=error.run) from None
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
@@ -94,7 +123,7 @@ async def _end_demo_and_check_idle(tool_service: ToolService) -> None:
         current = tool_service.runs.current
     tool_service.runs.demo_text = None
     if current:
-        raise ProblemError(HTTPStatus.CONFLICT, f"Run {current.id} is under way. Stop it first.")
+        raise RunUnderWayError(current)
     if tool_service.state.phase is not Phase.IDLE:
         texts = "; ".join(tool_service.alarms.technical_alarm_texts()) or "wait"
         detail = f"The tool is not ready ({tool_service.state.phase.value}): {texts}"
@@ -118,7 +147,7 @@ def _check_tissue(tool_service: ToolService, tissue: str | None) -> None:
     dependencies=[require_role(Role.OPERATOR)],
     responses={409: {"description": "It cannot be armed", **PROBLEM_RESPONSE}},
 )
-async def arm(request: Request, tool_service: ToolServiceDep, body: ArmRequest | None = None) -> SafetyReport:
+async def arm_tool(request: Request, tool_service: ToolServiceDep, body: ArmRequest | None = None) -> SafetyReport:
     """Tare the tool and test it at rest, so that it may move. A start arms it too, unless the settings forbid that."""
     check_has_tool(tool_service)
     body = body or ArmRequest()
@@ -133,7 +162,7 @@ async def arm(request: Request, tool_service: ToolServiceDep, body: ArmRequest |
     dependencies=[require_role(Role.OPERATOR)],
     responses={409: {"description": "The tool does not answer", **PROBLEM_RESPONSE}},
 )
-async def disarm(request: Request, tool_service: ToolServiceDep, body: ArmRequest | None = None) -> SafetyReport:
+async def disarm_tool(request: Request, tool_service: ToolServiceDep, body: ArmRequest | None = None) -> SafetyReport:
     """Set the motor to zero and forbid motion until the tool is armed again. A run under way is stopped."""
     check_has_tool(tool_service)
     acquire_control(request, tool_service)
@@ -170,12 +199,12 @@ async def get_run(tool_service: ToolServiceDep, run_id: str) -> Run:
         tool_service.index_writer.store.get_run, run_id
     )
     if run is None:
-        raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no run {run_id!r}. GET /api/runs lists them.")
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no run {run_id!r}. See the list of runs.")
     return run
 
 
 @router.get("/runs/{run_id}/grasps", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
-async def get_grasps(tool_service: ToolServiceDep, run_id: str) -> list[Grasp]:
+async def list_run_grasps(tool_service: ToolServiceDep, run_id: str) -> list[Grasp]:
     """List the finished grasps of a run."""
     await get_run(tool_service, run_id)
     if tool_service.runs.get(run_id):

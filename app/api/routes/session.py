@@ -20,7 +20,7 @@ NO_TOKENS_TEXT = (
 
 
 @router.get("", dependencies=[PUBLIC_ROUTE])
-async def session(request: Request, authenticator: AuthenticatorDep) -> SessionInfo:
+async def get_session(request: Request, authenticator: AuthenticatorDep) -> SessionInfo:
     """Return who is signed in, and whether signing in is needed."""
     return _build_session_info(authenticator, get_user(request))
 

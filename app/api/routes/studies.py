@@ -77,7 +77,7 @@ async def get_study(study_runner: StudiesDep, study_id: str) -> StudyRun:
     """Return one study with its progress."""
     run = study_runner.get(study_id)
     if run is None:
-        raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no study {study_id!r}. GET /api/studies lists them.")
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"There is no study {study_id!r}. See the list of studies.")
     return run
 
 
@@ -94,9 +94,10 @@ async def stop_study(
     "/{study_id}/report",
     dependencies=[require_role(Role.VIEWER)],
     response_class=FileResponse,
-    responses=STUDY_NOT_FOUND_RESPONSE,
+    responses=STUDY_NOT_FOUND_RESPONSE
+    | {200: {"description": "The page", "content": {"text/html": {"schema": {"type": "string"}}}}},
 )
-async def report(study_runner: StudiesDep, study_id: str) -> FileResponse:
+async def get_study_report(study_runner: StudiesDep, study_id: str) -> FileResponse:
     """Return the study's report as a self-contained HTML page."""
     path = await _find_result_file(study_runner, study_id, "html")
     return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
@@ -106,9 +107,10 @@ async def report(study_runner: StudiesDep, study_id: str) -> FileResponse:
     "/{study_id}/figures",
     dependencies=[require_role(Role.VIEWER)],
     response_class=FileResponse,
-    responses=STUDY_NOT_FOUND_RESPONSE,
+    responses=STUDY_NOT_FOUND_RESPONSE
+    | {200: {"description": "The figures", "content": {"application/json": {"schema": {"type": "object"}}}}},
 )
-async def figures(study_runner: StudiesDep, study_id: str) -> FileResponse:
+async def get_study_figures(study_runner: StudiesDep, study_id: str) -> FileResponse:
     """Return every figure and table of the study's report as JSON."""
     return FileResponse(await _find_result_file(study_runner, study_id, "json"), media_type="application/json")
 
@@ -117,7 +119,7 @@ async def _find_result_file(study_runner: StudyRunner, study_id: str, ending: st
     run = await get_study(study_runner, study_id)
     path = study_runner.result_path(run, ending)
     if run.report is None:
-        raise ProblemError(HTTPStatus.NOT_FOUND, f"Study {run.id} is {run.state.value}: it has no report.")
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"This study is {run.state.value}: it has no report.")
     if not path.is_file():
-        raise ProblemError(HTTPStatus.NOT_FOUND, f"The report of study {run.id} is gone from {study_runner.folder}.")
+        raise ProblemError(HTTPStatus.NOT_FOUND, f"The report of this study is gone from {study_runner.folder}.")
     return path

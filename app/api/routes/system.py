@@ -31,7 +31,7 @@ VERSIONED_PACKAGES = (
 
 
 @router.get("/system", dependencies=[require_role(Role.VIEWER)])
-async def system(tool_service: ToolServiceDep) -> System:
+async def get_system(tool_service: ToolServiceDep) -> System:
     """Return versions, machine, workers, and the configuration in use (read-only)."""
     plan = tool_service.plan
     return System(

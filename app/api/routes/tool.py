@@ -19,7 +19,7 @@ from config.errors import RefusedError
 from config.load import list_shipped_names, load_grasp_protocol, read_modification_times
 from config.schema import GraspProtocol, Tool
 
-router = APIRouter(tags=["catalogue"])
+router = APIRouter(tags=["tool"])
 MAX_PREVIEW_POINTS = 200
 
 
@@ -28,7 +28,7 @@ MAX_PREVIEW_POINTS = 200
     dependencies=[PUBLIC_ROUTE],
     responses={503: {"model": Health, "description": "Starting, or faulted"}},
 )
-async def health(request: Request, tool_service: ToolServiceDep, response: Response) -> Health:
+async def get_health(request: Request, tool_service: ToolServiceDep, response: Response) -> Health:
     """Return the service's health: ready once the filters are compiled and samples arrive."""
     workers = tool_service.state.worker_conditions()
     phase = tool_service.state.phase
@@ -48,13 +48,13 @@ async def health(request: Request, tool_service: ToolServiceDep, response: Respo
 
 
 @router.get("/api/tool", dependencies=[require_role(Role.VIEWER)])
-async def tool(tool_service: ToolServiceDep) -> ToolInfo:
+async def get_tool(tool_service: ToolServiceDep) -> ToolInfo:
     """Return the tool in use."""
     return build_tool_info(tool_service.plan.tool)
 
 
 @router.get("/api/protocols", dependencies=[require_role(Role.VIEWER)], response_model=list[ProtocolInfo])
-async def protocols(tool_service: ToolServiceDep) -> Response:
+async def list_protocols(tool_service: ToolServiceDep) -> Response:
     """List the protocols, shortest cycle first, each with its waveform for a preview."""
     # a frozen model can be hashed, which the checker does not learn from `model_config`
     previews = _build_previews(
@@ -92,12 +92,12 @@ def _build_preview(protocol: GraspProtocol, tool: Tool) -> ProtocolInfo:
 
 
 @router.get("/api/tissues", dependencies=[require_role(Role.VIEWER)])
-async def tissues(tool_service: ToolServiceDep) -> LibraryInfo:
+async def get_tissue_library(tool_service: ToolServiceDep) -> LibraryInfo:
     """Return the tissue library in use."""
     return build_library_info(tool_service.plan)
 
 
 @router.get("/metrics", dependencies=[require_role(Role.VIEWER)], include_in_schema=False)
-async def metrics(tool_service: ToolServiceDep) -> Response:
+async def get_metrics(tool_service: ToolServiceDep) -> Response:
     """Return Prometheus metrics."""
     return Response(tool_service.state.render_metrics(), media_type="text/plain; version=0.0.4; charset=utf-8")

@@ -19,6 +19,8 @@ export class Connection {
   private socket: WebSocket | null = null;
   private retryMs = FIRST_RETRY_MS;
   private lastMessageMs = 0;
+  /** Number of the last event received; null if the server has not said it. */
+  private lastEvent: number | null = null;
 
   private silenceTimer = 0;
   private retryTimer = 0;
@@ -54,6 +56,7 @@ export class Connection {
   private open(): void {
     const address = new URL(this.path, location.href);
     address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
+    if (this.lastEvent !== null) address.searchParams.set("after", String(this.lastEvent));
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
@@ -75,8 +78,10 @@ export class Connection {
     const message = JSON.parse(String(data)) as ServerMessage;
     if (message.type === "hello") {
       this.retryMs = FIRST_RETRY_MS;
+      if (message.resumed !== true) this.lastEvent = null;
       this.listener.onConnected(true);
     }
+    this.lastEvent = eventNumber(message) ?? this.lastEvent;
     this.listener.onMessage(message, now);
   }
 
@@ -94,4 +99,10 @@ export class Connection {
     this.retryTimer = window.setTimeout(() => this.open(), this.retryMs);
     this.retryMs = Math.min(this.retryMs * 2, LONGEST_RETRY_MS);
   }
+}
+
+/** Returns the number of the newest event that has been received with this message, if it says so. */
+function eventNumber(message: ServerMessage): number | null {
+  if (message.type === "state") return message.event_number;
+  return "number" in message ? message.number : null;
 }

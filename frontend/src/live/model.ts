@@ -10,6 +10,7 @@ export const HISTORY_S = 300;
 const MAX_GRASPS = 200;
 /** Safety states in which a run is under way. */
 const RUN_STATES: readonly State["safety"][] = ["running", "holding back", "let go"];
+const MISSED_EVENTS = "Events were missed while there was no connection: the journal has them.";
 /** Motor commands below this are noise of the line, V. */
 const COMMAND_ON_V = 0.02;
 
@@ -123,6 +124,7 @@ export class Model {
     if (this.isReplay) this.grasps = [];
     this.identification = null;
     this.alarms.clear();
+    if (hello.resumed === false) this.lastEvent = MISSED_EVENTS;
     this.clock.reset();
     this.clock.addReading(hello.server_time_ms, nowMs);
   }
