@@ -17,6 +17,7 @@ from config.errors import GraspwatchError, RefusedError, ServiceError
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 PROBLEM_RESPONSE = {"content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
+UNREADABLE_BODY_TEXT = "The body cannot be read: it is not in UTF-8, or nested too deeply. Send JSON in UTF-8."
 JSON_FAULTS = {
     "Expecting value": "a value is missing here, or it is no JSON value",
     "Expecting property name enclosed in double quotes": "a name in double quotes is expected here",
@@ -109,7 +110,8 @@ def add_error_handlers(app: FastAPI, routes: Sequence[BaseRoute]) -> None:
                 return _refuse_method(request, allowed)
             if request.scope["path"].startswith("/api/"):  # the dashboard's files, which come last, answered
                 return _problem_response(HTTPStatus.NOT_FOUND, "There is nothing at this address.")
-        return _problem_response(error.status_code, str(error.detail), headers=error.headers)
+        detail = UNREADABLE_BODY_TEXT if error.status_code == HTTPStatus.BAD_REQUEST else str(error.detail)
+        return _problem_response(error.status_code, detail, headers=error.headers)
 
 
 def _refuse_method(request: Request, allowed: list[str]) -> JSONResponse:

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import StreamingResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
@@ -39,13 +39,13 @@ class ExportQuery(BaseModel):
     dependencies=[require_role(Role.VIEWER)],
     responses={503: {"description": "The index cannot be asked", **PROBLEM_RESPONSE}},
 )
-async def check_journal(request: Request, chain: JournalWatchDep) -> JournalCheck | Response:
+async def check_journal(request: Request, chain: JournalWatchDep) -> JournalCheck | StreamingResponse:
     """Check by the hash chain and the index whether any line was changed, removed, inserted or moved.
 
     `graspwatch audit verify` also checks the recordings. The result is cached for five seconds.
     """
     if request.method == "HEAD":
-        return Response(media_type="application/json")
+        return StreamingResponse((), media_type="application/json")  # says no length
     return await chain.check()
 
 
