@@ -74,7 +74,7 @@ def _describe_fault(fault: Mapping[str, Any], body: object) -> dict[str, str]:
     return {"field": ".".join(str(part) for part in fault["loc"][1:]) or "body", "message": fault["msg"]}
 
 
-def add_error_handlers(app: FastAPI, routes: Sequence[BaseRoute]) -> None:
+def add_error_handlers(app: FastAPI, routes: Sequence[BaseRoute] = ()) -> None:
     """Make `app` answer every error with problem details; `routes` are those of its routers."""
 
     @app.exception_handler(ProblemError)

@@ -56,13 +56,13 @@ def test_a_client_is_made_from_the_description_without_a_warning_and_starts_a_ru
     assert (made.returncode, "arning" in made.stdout + made.stderr) == (0, False), made.stdout + made.stderr
     monkeypatch.syspath_prepend(tmp_path)
     models = importlib.import_module("made_client.models")
-    client = importlib.import_module("made_client").Client(base_url=service.url)
     calls = {name: importlib.import_module(f"made_client.api.runs.{name}") for name in ("start_run", "stop", "get_run")}
     body = models.RunRequest.from_dict(LONG_RUN)
-    run = calls["start_run"].sync(client=client, body=body)
-    refused = calls["start_run"].sync(client=client, body=body)
-    assert calls["stop"].sync(client=client).stopped
-    assert calls["get_run"].sync(run.id, client=client).state == "stopped"
+    with importlib.import_module("made_client").Client(base_url=service.url) as client:
+        run = calls["start_run"].sync(client=client, body=body)
+        refused = calls["start_run"].sync(client=client, body=body)
+        assert calls["stop"].sync(client=client).stopped
+        assert calls["get_run"].sync(run.id, client=client).state == "stopped"
     assert (type(refused), refused.status, refused.run.id) == (models.Problem, 409, run.id)
 
 
@@ -336,7 +336,7 @@ def test_every_message_is_as_the_streams_description_says(service: Service, stre
     }
     with Listener(service) as live, Listener(service, "/api/recordings/liver.lvm/replay") as replay:
         service.run(protocol="trapezoid_4hz", cycles=1, tissue="liver")
-        live.listen(lambda: live.of("grasp") and live.of("identification"))
+        live.listen(lambda: live.of("grasp") and live.of("identification") and live.of("event"))
         replay.listen(lambda: any(state["prepared"] == 1 for state in replay.of("replay_state")))
         messages = live.messages + replay.messages
     assert {"hello", "state", "identification", "grasp", "event", "replay_state"} <= {each["type"] for each in messages}
