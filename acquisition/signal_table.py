@@ -141,12 +141,13 @@ def find_wired_inputs(channels: Channels) -> dict[str, str]:
     """
     inputs = [each for each in SIGNALS if each.source is Source.INPUT]
     free = [each.name for each in inputs if each.wired is None]
-    if unknown := [name for name in channels.other if name not in free]:
+    other = {each.signal: each.input for each in channels.other}
+    if unknown := [name for name in other if name not in free]:
         raise ConfigurationError(
             f"channels.other: {', '.join(unknown)} is no further analog input; there is {', '.join(free) or 'none'}. "
             "Correct the name, or add the signal to acquisition/signal_table.py (docs/extending.md)."
         )
-    terminals = {each.name: each.wired(channels) if each.wired else channels.other.get(each.name) for each in inputs}
+    terminals = {each.name: each.wired(channels) if each.wired else other.get(each.name) for each in inputs}
     return {name: terminal for name, terminal in terminals.items() if terminal is not None}
 
 
