@@ -90,6 +90,9 @@ SIGNALS = (
            title="touch sensor 1", meaning="Touch sensor of the first jaw"),
     Signal("touch_2_v", "V", "f8", Source.INPUT, wired=lambda channels: channels.touch[1], raw=6,
            title="touch sensor 2", meaning="Touch sensor of the second jaw"),
+    Signal("motor_current_v", "V", "f8", Source.INPUT, raw=10, frame=10, optional=True,
+           trace=Trace("motor", Line.MEASURED, "current"),
+           title="the motor current", meaning="Current of the motor, from the amplifier's monitor output"),
 
     # at the jaws
     Signal("jaw_force_n", "N", "f8", Source.COMPUTED, conditioned=2, frame=4,
@@ -141,12 +144,13 @@ def find_wired_inputs(channels: Channels) -> dict[str, str]:
     """
     inputs = [each for each in SIGNALS if each.source is Source.INPUT]
     free = [each.name for each in inputs if each.wired is None]
-    if unknown := [name for name in channels.other if name not in free]:
+    other = {each.signal: each.input for each in channels.other}
+    if unknown := [name for name in other if name not in free]:
         raise ConfigurationError(
             f"channels.other: {', '.join(unknown)} is no further analog input; there is {', '.join(free) or 'none'}. "
             "Correct the name, or add the signal to acquisition/signal_table.py (docs/extending.md)."
         )
-    terminals = {each.name: each.wired(channels) if each.wired else channels.other.get(each.name) for each in inputs}
+    terminals = {each.name: each.wired(channels) if each.wired else other.get(each.name) for each in inputs}
     return {name: terminal for name, terminal in terminals.items() if terminal is not None}
 
 

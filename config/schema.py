@@ -85,6 +85,15 @@ class Board(ConfigModel):
         return self
 
 
+class OtherInput(ConfigModel):
+    """An analog input beside those that every tool has."""
+
+    signal: Slug
+    """Its signal, one of `acquisition/signal_table.py`."""
+    input: str
+    """Its physical channel, e.g. `ai4`."""
+
+
 class Channels(ConfigModel):
     """Physical channels without the device name, e.g. `ai0`."""
 
@@ -98,9 +107,8 @@ class Channels(ConfigModel):
     """Counter with the quadrature encoder."""
     motor_command: str = "ao0"
     """Motor command to the amplifier."""
-    other: dict[Slug, str] = Field(default_factory=dict, exclude_if=lambda other: not other)
-    """Further analog inputs by signal, e.g. `{ motor_current_v = "ai4" }`; the signals are in
-    `acquisition/signal_table.py`."""
+    other: tuple[OtherInput, ...] = Field(default=(), exclude_if=lambda other: not other)
+    """Further analog inputs; none is needed."""
     analog_range_v: Positive = 10.0
     """Input range of ± this, V; one of the board's ranges."""
 

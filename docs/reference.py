@@ -31,6 +31,7 @@ def written() -> dict[str, str]:
         table = _resolved(prop, schema)
         if table and table["type"] == "object" and "properties" in table:
             tables += _table(f"`[{name}]`", table, schema)
+    tables += _table("`[[channels.other]]`", schema["$defs"]["OtherInput"], schema)
     tables += _table("`[calibration.jaw_force_scale]`", schema["$defs"]["ForceScale"], schema)
     tables += _table("`[[calibration.measured]]`", schema["$defs"]["ConstantMeasurement"], schema)
     return {
@@ -94,8 +95,6 @@ def _one(prop: dict[str, Any], schema: dict[str, Any]) -> str:
         many = f" of {len(prop['prefixItems'])}" if "prefixItems" in prop else ""
         return f"list{many}: {_one(items, schema)}"
     if prop["type"] == "object":
-        if "patternProperties" in prop:
-            return f"table: {_one(next(iter(prop['patternProperties'].values())), schema)} by name"
         return "table, see below" if "properties" in prop else "tables, see below"
     words = {"string": "day" if prop.get("format") == "date" else "text", "number": "number", "integer": "whole number"}
     bounds = [f"{word} {prop[key]:g}" for key, word in BOUNDS.items() if key in prop]
