@@ -274,10 +274,9 @@ def _describe_first_bad_line(
             except ValueError:
                 sound = False
             if not sound:
-                mark = "," if header.decimal_comma else "."
                 return (
-                    f"{path}, line {number}, column {column + 1}: expected a number, found {cells[column][:40]!r}; the "
-                    f"decimal separator of this file is {mark!r}."
+                    f"{path}, line {number}, column {column + 1}: expected a number, found {cells[column][:40]!r}; "
+                    f"{header.decimal_text}."
                 )
     return f"{path}: cannot be read as a table of numbers."
 

@@ -75,6 +75,10 @@ class LabviewHeader:
     def separator_name(self) -> str:
         return next(name for name, character in SEPARATORS.items() if character == self.separator)
 
+    @property
+    def decimal_text(self) -> str:
+        return f"the decimal separator of this file is {',' if self.decimal_comma else '.'!r}"
+
     def parse_number(self, text: str) -> float:
         """Return the number that a cell holds.
 
