@@ -61,7 +61,10 @@ def _explain_unknown(tool: Tool, library: TissueLibrary, grasps: Sequence[GraspR
     peaks_n = [grasp.peak_force_n for grasp in grasps if grasp.peak_force_n is not None]
     highest_n = max(library.convert_thresholds_to_displayed_n(tool).values())
     unknown = sum(grasp.label == UNKNOWN for grasp in grasps)
-    parts = [f"{unknown} fit no tissue of the library {library.name!r}; the others stay undecided."]
+    if unknown == len(grasps):
+        parts = [f"What was held fits no tissue of the library {library.name!r}."]
+    else:
+        parts = [f"{unknown} fit no tissue of the library {library.name!r}, {len(grasps) - unknown} stay undecided."]
     if peaks_n and (max(peaks_n) > MAX_THRESHOLD_RATIO * highest_n or max(peaks_n) < MIN_PEAK_N):
         parts.append(
             f"Their peak forces, {min(peaks_n):.2g} to {max(peaks_n):.2g} N, are far from those that injure the "
