@@ -52,4 +52,4 @@ def check_run_name(name: str, advice: str) -> str:
         why = f"it has more than {MAX_NAME_BYTES} bytes"
     else:
         return name
-    raise ConfigurationError(f"{to_printable(name)[:80]!r} cannot be the name of a recording: {why}. {advice}")
+    raise ConfigurationError(f"'{to_printable(name)[:80]}' cannot be the name of a recording: {why}. {advice}")

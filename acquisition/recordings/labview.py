@@ -11,7 +11,14 @@ import numpy as np
 
 from acquisition.recordings import labview_time
 from acquisition.recordings.labview_columns import ChannelColumn, find_columns
-from acquisition.recordings.labview_header import DECIMAL_EXCHANGE, LabviewHeader, Segment, XColumns, read_header
+from acquisition.recordings.labview_header import (
+    DECIMAL_EXCHANGE,
+    LabviewHeader,
+    Segment,
+    XColumns,
+    is_blank,
+    read_header,
+)
 from acquisition.recordings.labview_text import read_lines
 from config.errors import RecordingError
 from config.schema import Tool
@@ -93,7 +100,7 @@ def read_labview_log(path: Path, tool: Tool) -> LabviewLog:
         columns = find_columns(path, header, segment, tool)
         remarks |= dict.fromkeys(remark for column in columns for remark in column.remarks)
         time_column = time_column or columns[0].at
-        if any(line.strip() for line in lines[segment.first_row : segment.end_row]):
+        if not all(is_blank(line, header.separator) for line in lines[segment.first_row : segment.end_row]):
             signals = _read_signals(path, header, segment, lines, columns)
             tables.append((segment, _join_signals(path, header, segment, columns, signals, rate_hz, remarks)))
     if not tables:
@@ -110,7 +117,9 @@ def _read_signals(
     path: Path, header: LabviewHeader, segment: Segment, lines: list[str], columns: Sequence[ChannelColumn]
 ) -> list[_Signal]:
     """Return the signals of the columns, in their order."""
-    rows = [(i + 1, lines[i]) for i in range(segment.first_row, segment.end_row) if lines[i].strip()]
+    rows = [
+        (i + 1, lines[i]) for i in range(segment.first_row, segment.end_row) if not is_blank(lines[i], header.separator)
+    ]
     if header.x_columns is XColumns.NO:
         _check_first_column_empty(path, header, rows)
     numbers = np.array([number for number, _ in rows])
@@ -265,10 +274,9 @@ def _describe_first_bad_line(
             except ValueError:
                 sound = False
             if not sound:
-                mark = "," if header.decimal_comma else "."
                 return (
-                    f"{path}, line {number}, column {column + 1}: expected a number, found {cells[column][:40]!r}; the "
-                    f"decimal separator of this file is {mark!r}."
+                    f"{path}, line {number}, column {column + 1}: expected a number, found {cells[column][:40]!r}; "
+                    f"{header.decimal_text}."
                 )
     return f"{path}: cannot be read as a table of numbers."
 

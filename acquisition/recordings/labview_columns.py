@@ -227,7 +227,8 @@ def _read_number(path: Path, header: LabviewHeader, segment: Segment, name: str,
         return header.parse_number(text) if text else 0.0
     except ValueError:
         raise RecordingError(
-            f"{path}, line {segment.line(name)}, column {at + 1}: expected {name} as a number, found {text[:40]!r}."
+            f"{path}, line {segment.line(name)}, column {at + 1}: expected {name} as a number, found {text[:40]!r}; "
+            f"{header.decimal_text}."
         ) from None
 
 

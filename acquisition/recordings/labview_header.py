@@ -75,6 +75,10 @@ class LabviewHeader:
     def separator_name(self) -> str:
         return next(name for name, character in SEPARATORS.items() if character == self.separator)
 
+    @property
+    def decimal_text(self) -> str:
+        return f"the decimal separator of this file is {',' if self.decimal_comma else '.'!r}"
+
     def parse_number(self, text: str) -> float:
         """Return the number that a cell holds.
 
@@ -181,9 +185,16 @@ def _find_header_start(lines: list[str], first: int, end: int, separator: str) -
     return at
 
 
+def is_blank(line: str, separator: str) -> bool:
+    """Return whether a line holds nothing, or nothing between its separators."""
+    return not line.strip(f"{separator} ").strip()
+
+
 def _is_header_line(line: str, separator: str) -> bool:
     name = line.split(separator)[0].strip()
-    return not line.strip() or bool(re.match(r"[A-Z*][A-Za-z0-9_*]", name) and name.casefold() not in ("nan", "inf"))
+    return is_blank(line, separator) or bool(
+        re.match(r"[A-Z*][A-Za-z0-9_*]", name) and name.casefold() not in ("nan", "inf")
+    )
 
 
 def _first(fields: dict[str, HeaderLine], name: str) -> str:

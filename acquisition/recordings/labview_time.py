@@ -64,7 +64,9 @@ def is_never_set(time_ns: int) -> bool:
 
 def convert_labview_seconds(seconds: float) -> int:
     """Return a number of seconds since LabVIEW's time 0 as ns since 1970."""
-    return round((LABVIEW_EPOCH - _UNIX_EPOCH).total_seconds()) * NS_PER_S + round(seconds * NS_PER_S)
+    whole = int(seconds)  # a product of so many seconds would lose microseconds
+    since_epoch_ns = whole * NS_PER_S + round((seconds - whole) * 1e6) * 1000
+    return round((LABVIEW_EPOCH - _UNIX_EPOCH).total_seconds()) * NS_PER_S + since_epoch_ns
 
 
 def is_recordable(time_ns: int) -> bool:

@@ -11,6 +11,7 @@ from acquisition.signal_table import SIGNALS, sort_by_number
 
 PROFILE = "graspwatch"
 FORMAT_VERSION = 1
+RECORDED_AT_METADATA = "recorded_at"  # of an import: the time of its first sample by its log, ISO 8601
 METADATA_NAME = "graspwatch"  # the metadata record that describes the run
 END_METADATA_NAME = (
     "graspwatch_end"  # the metadata record that describes the run's end; a file that was cut off has none

@@ -14,6 +14,7 @@ from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety_state_machine import Safety
 from acquisition.tool_factory import open_tool
 from app.messages.runs import RunState
+from app.recordings.answer_advice import explain_missing_answers
 from app.recordings.estimate_comparison import EstimateComparator, EstimateComparison
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
 from app.recordings.mcap_writer import RecordingContext
@@ -39,6 +40,7 @@ class RunSummary:
     force_scale: str = ""  # the tool's force scale in words
     failure: str | None = None  # why a run ended before its protocol did
     comparison: EstimateComparison | None = None  # of a replay's estimates with the recorded ones
+    advice: str | None = None  # of a replay without any answer: why, and what to do
 
     def document(self) -> dict[str, Any]:
         document = {
@@ -52,6 +54,8 @@ class RunSummary:
         }
         if self.releases:
             document["let_go"] = self.releases
+        if self.advice:
+            document["advice"] = self.advice
         if self.comparison:
             document["recorded"] = self.comparison.document()
         return document
@@ -147,4 +151,5 @@ def replay_recording(recording: RecordingSource, recording_context: RecordingCon
     if last := session.finish():
         report.grasps.append(last)
     report.comparison = comparing.result if comparing else None
+    report.advice = explain_missing_answers(tool, library, report.grasps)
     return report

@@ -291,7 +291,12 @@ def stretch(
         from acquisition.bench.readings import extract_recorded_passes
         from acquisition.recordings.recording import RecordingSource
 
-        passes = [each for path in recordings for each in extract_recorded_passes(RecordingSource(path, session.tool))]
+        passes = []
+        for path in recordings:
+            recording = RecordingSource(path, session.tool)
+            for remark in recording.remarks:
+                session.print_message(f"{path}: {remark}.")
+            passes += extract_recorded_passes(recording)
     else:
         bench = session.open_bench()
         session.confirm(EMPTY_JAWS_QUESTION)

@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.table import Table
 
-from app.cli.console import create_console
+from app.cli.console import create_console, print_note
 
 VERDICT_REMARKS = {"unknown": "fits no tissue of the library"}
 
@@ -18,6 +18,8 @@ def print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
     console = create_console()
     for document in documents:
         console.print(_build_table(document))
+        if advice := document.get("advice"):
+            print_note(advice)
 
 
 def _build_table(document: dict[str, Any]) -> Table:

@@ -39,6 +39,9 @@ class RecordingInfo(Message):
     name: str
     size_bytes: int
     modified_at: str = Field(description="ISO 8601, UTC")
+    recorded_at: str = Field(
+        description="ISO 8601: when an imported recording was made, by its log's own clock; else `modified_at`"
+    )
     duration_s: float | None = Field(description="Null: not read yet, or unreadable")
     problem: str | None = Field(description="Why the recording cannot be replayed")
     whole: bool = Field(description="False while the recording is being written, or if it was cut off")

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from acquisition.recordings.file_names import has_recording_suffix, remove_recording_suffix, to_printable
-from acquisition.recordings.mcap_layout import RAW_TOPIC
+from acquisition.recordings.mcap_layout import RAW_TOPIC, RECORDED_AT_METADATA
 from acquisition.recordings.mcap_reader import McapFile
 from acquisition.recordings.recording import RecordingSource, read_recorded_tool
 from app.host.background_process import SendMessage, run_in_background_process
@@ -144,6 +144,7 @@ class RecordingCatalog:
             name=name,
             size_bytes=file.size_bytes,
             modified_at=modified,
+            recorded_at=facts.get(RECORDED_AT_METADATA, modified),
             duration_s=content.duration_s,
             problem=content.problem,
             whole=content.is_complete,

@@ -29,7 +29,6 @@ from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_rows import estimate_columns, row_layouts
 
 RECORDING_SUFFIX = ".mcap"
-RECORDED_AT_METADATA = "recorded_at"  # of an import: the time of its first sample, ISO 8601
 CHUNK_BYTES = 4 * 2**20  # never reached: each flush ends a chunk
 FLUSH_PERIOD_S = 0.25
 MAX_BLOCKS_PER_FLUSH = 200  # three times the blocks that arrive between two flushes

@@ -70,7 +70,7 @@ def _files(folder: Path) -> list[tuple[str, float, str, str]]:
         return recording.duration_s
 
     def take_in() -> float:
-        path = import_labview(log, folder, rig, None, lambda _: None)
+        path = import_labview(log, folder, rig, None, lambda _: None).path
         duration_s = RecordingSource(path, rig.tool).duration_s
         path.unlink()
         return duration_s

@@ -12,6 +12,7 @@ from app.analysis.report.grasp_table import build_grasp_table
 from app.analysis.report.plot_data import MAX_TIME_PLOTS, build_plot_data, curve_stride
 from app.analysis.report.report import Progress, Report, collect_versions
 from app.analysis.report.statistics_tables import build_statistics_tables
+from app.recordings.answer_advice import explain_missing_answers
 from estimator.studies.html_page import Table, render_template
 
 PAGE_KIND = "Graspwatch report"
@@ -32,6 +33,7 @@ def render_report_page(report: Report, progress: Progress) -> str:
         summary=_build_summary(report),
         grasps=build_grasp_table(report, drawn) if report.grasps else None,
         grasp_count=len(report.grasps),
+        advice=_build_advice(report),
         drawn=drawn,
         courses=[each.title for each in report.recordings] if data["courses"] else [],
         max_time_plots=MAX_TIME_PLOTS,
@@ -85,6 +87,12 @@ def _build_summary(report: Report) -> Table:
         "grasps with a warning",
     ]
     return Table("What was recorded and found", columns, rows)
+
+
+def _build_advice(report: Report) -> dict[str, str]:
+    """Return why no grasp of a recording got a name, by the recording's title."""
+    advice = ((one.title, explain_missing_answers(one.tool, one.library, one.grasps)) for one in report.recordings)
+    return {title: text for title, text in advice if text}
 
 
 def _find_group_title(report: Report, name: str | None) -> str | None:

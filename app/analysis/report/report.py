@@ -18,6 +18,7 @@ from app.analysis.report.recording_analyzer import AnalyzedRecording, Progress, 
 from app.analysis.report.statistics import Observation, Statistics, TruthSource, compute_statistics
 from app.analysis.report.statistics_tables import build_statistics_tables
 from app.analysis.report.tissue_styles import TissueStyle, build_tissue_styles
+from app.recordings.answer_advice import explain_missing_answers
 from app.recordings.mcap_writer import RecordingContext
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_block import GraspRecord
@@ -105,6 +106,7 @@ class Report:
             "lost_samples": recording.lost_samples,
             "duration_s": recording.duration_s,
             "held": self.labels.get(recording.title) or recording.tissue,
+            "advice": explain_missing_answers(recording.tool, recording.library, recording.grasps),
             "grasps": [
                 {
                     **to_json_value(record.model_dump()),

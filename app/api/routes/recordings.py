@@ -47,11 +47,11 @@ async def list_recordings(
 
 
 def _matches(recording: RecordingInfo, query: RecordingQuery) -> bool:
-    modified = datetime.fromisoformat(recording.modified_at)
+    recorded = datetime.fromisoformat(recording.recorded_at)
     return (
         (query.q is None or query.q.casefold() in recording.name.casefold())
-        and (query.since is None or modified >= query.since)
-        and (query.until is None or modified < query.until)
+        and (query.since is None or recorded >= query.since)
+        and (query.until is None or recorded < query.until)
     )
 
 

@@ -32,7 +32,11 @@ def export_run(source: Path, target: Path, export_format: ExportFormat) -> list[
     grasps = target.with_name(f"{target.stem}-grasps{target.suffix}")
     targets = [target, grasps] if export_format in (ExportFormat.CSV, ExportFormat.PARQUET) else [target]
     for path in targets:
-        if path.exists():
+        try:
+            exists = path.exists()
+        except OSError as error:  # such as a name that is too long
+            raise RecordingError(f"{path}: cannot be written ({error.strerror}). Name another with --out.") from None
+        if exists:
             raise RecordingError(f"{path}: exists already, and is kept. Name another file with --out.")
     provisional = {path: path.with_name(f".{path.name}.part") for path in targets}
     try:

@@ -8,11 +8,14 @@ from pathlib import Path
 
 from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.file_names import check_run_name, remove_recording_suffix, to_printable
+from acquisition.recordings.mcap_layout import RECORDED_AT_METADATA
 from acquisition.recordings.recording import RecordingSource
 from app.messages.runs import RunState
+from app.recordings.answer_advice import explain_missing_answers
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
-from app.recordings.mcap_writer import RECORDED_AT_METADATA, RECORDING_SUFFIX, RecordingContext
+from app.recordings.mcap_writer import RECORDING_SUFFIX, RecordingContext
 from config.errors import RecordingError
+from estimator.estimate_block import GraspRecord
 from estimator.online_estimator import TissueEstimator
 
 IMPORTED_PROTOCOL = "imported"  # the commands are in the samples
@@ -68,15 +71,21 @@ def import_labview(
     ended_at = _format_utc(started_ns + round(recording.duration_s * 1e9))
     tool, settings = recording_context.tool, recording_context.settings
     session = TissueEstimator(tool, recording_context.library, settings)
+    grasps: list[GraspRecord] = []
     with HeadlessRecorder(
         path, recording_context, run, started_ns=started_ns, metadata=about, discard_on_error=True
     ) as file:
         for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
-            file.append(block, session.process(block))
-        file.add_interrupted_grasp(session.finish())
+            estimate = session.process(block)
+            grasps += estimate.ended
+            file.append(block, estimate)
+        if last := session.finish():
+            grasps.append(last)
+        file.add_interrupted_grasp(last)
         file.run = file.run.model_copy(update={"cycles": max(file.run.grasps, 1)})
         file.end_run(RunState.FINISHED, f"imported from {to_printable(source.name)}", ended_at)
-    return ImportedLog(path, remarks)
+    advice = explain_missing_answers(recording_context.tool, recording_context.library, grasps)
+    return ImportedLog(path, (*remarks, advice.removesuffix(".")) if advice else remarks)
 
 
 def _format_utc(time_ns: int) -> str:

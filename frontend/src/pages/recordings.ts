@@ -15,7 +15,7 @@ import { dateTime, headCell, moment, Rows, type Row } from "./rows";
 const EVERY_MS = 10_000;
 const WHILE_READING_MS = 2000;
 
-type Column = "name" | "modified_at" | "duration_s" | "size_bytes";
+type Column = "name" | "recorded_at" | "duration_s" | "size_bytes";
 
 /** Lists the recordings folder: find, replay, download or delete a recording. */
 export class RecordingsPage implements Page {
@@ -28,7 +28,7 @@ export class RecordingsPage implements Page {
   private readonly polled: Polled<Recordings>;
   private readonly bin: BinSection;
   private recordings: RecordingInfo[] = [];
-  private column: Column = "modified_at";
+  private column: Column = "recorded_at";
   private descending = true;
 
   constructor(
@@ -145,12 +145,12 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement, question: HTMLEle
     setHidden(replay, recording.problem !== null);
     setHidden(report, recording.problem !== null);
     setText(problem, problemInWords(recording));
-    const modified = dateTime(recording.modified_at);
-    if (when.textContent !== modified) when.replaceChildren(moment(recording.modified_at, modified));
+    const recorded = dateTime(recording.recorded_at);
+    if (when.textContent !== recorded) when.replaceChildren(moment(recording.recorded_at, recorded));
     setText(length, lengthInWords(recording));
     setText(size, bytes(recording.size_bytes));
     setText(run, runInWords(recording));
-    const facts = [recording.problem === null ? length.textContent : null, modified, size.textContent];
+    const facts = [recording.problem === null ? length.textContent : null, recorded, size.textContent];
     setText(small, facts.filter(Boolean).join(" · "));
   };
   return { element, update };

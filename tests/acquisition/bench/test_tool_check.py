@@ -1,5 +1,7 @@
 """A tool on the bench, walked through the real driver to a simulated board; wiring mistakes are found and named."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from acquisition.simulation.faults import FaultySensors, SensorFault
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
 from acquisition.simulation.wiring import MiswiredGrasper, WiringFault
+from acquisition.tool_factory import open_hardware_check
 from config.load import load_library, load_tool
 from config.schema import Tool
 
@@ -175,3 +178,47 @@ def test_jaws_that_are_not_empty_are_let_go_at_once():
     )
     assert max(output.volts for output in bench.board.output_changes) < CLOSING_COMMAND_V
     assert np.isfinite(bench.grasper.force_n)
+
+
+@pytest.mark.parametrize(
+    ("part", "values", "check", "told"),
+    [
+        ("board", {"device": "Dev2"}, "board", "no board named Dev2"),
+        ("board", {"product": "USB-6009"}, "board", "is a PCI-6230, the tool file is for a USB-6009"),
+        ("channels", {"strain": "ai8"}, "channels", "the board has no ai8"),
+        ("channels", {"encoder": "ctr2"}, "channels", "the board has no ctr2"),
+        ("channels", {"motor_command": "ao4"}, "channels", "the board has no ao4"),
+        ("channels", {"analog_range_v": 2.5}, "channels", "the board has no range of 2.5 V"),
+        ("board", {"sample_rate_hz": 1024.0}, "board in use", "would make 1024.01"),
+    ],
+)
+def test_a_mistake_in_a_file_for_the_simulated_board_is_found_as_on_a_real_one(
+    part: str, values: dict[str, object], check: str, told: str
+) -> None:
+    walk = open_hardware_check(changed(part, **values), LIBRARY, nullcontext())
+    found = {each.check: each for each in walk.run_checks(lambda: False)}
+    assert found[check].outcome is CheckOutcome.FAIL
+    assert told in found[check].text
+
+
+@pytest.mark.parametrize(
+    ("values", "check", "told"),
+    [
+        ({"strain": "ai4"}, "strain gage at rest", "check that ai4 is the strain gage's channel"),
+        ({"motor_command": "ao1"}, "motor command read back", "ai2 stays at zero"),
+        ({"encoder": "ctr1"}, "encoder direction", "check the cable of ctr1"),
+        ({"motor_command_readback": "ai5"}, "motor command read back", "ai5 stays at zero"),
+    ],
+)
+def test_a_channel_that_the_board_has_but_nothing_is_wired_to_is_found_too(
+    values: dict[str, object], check: str, told: str
+) -> None:
+    found = Bench(file=changed("channels", **values)).findings()
+    assert found[check][0] is CheckOutcome.FAIL
+    assert told in found[check][1]
+
+
+def test_a_rate_that_the_board_can_make_is_taken_exactly() -> None:
+    tool = changed("board", sample_rate_hz=20e6 / 19531)
+    bench = Bench(file=tool)
+    assert bench.findings(move=False)["sample clock"][0] is CheckOutcome.PASS
