@@ -90,9 +90,6 @@ SIGNALS = (
            title="touch sensor 1", meaning="Touch sensor of the first jaw"),
     Signal("touch_2_v", "V", "f8", Source.INPUT, wired=lambda channels: channels.touch[1], raw=6,
            title="touch sensor 2", meaning="Touch sensor of the second jaw"),
-    Signal("motor_current_v", "V", "f8", Source.INPUT, raw=10, frame=10, optional=True,
-           trace=Trace("motor", Line.MEASURED, "current"),
-           title="the motor current", meaning="Current of the motor, from the amplifier's monitor output"),
 
     # at the jaws
     Signal("jaw_force_n", "N", "f8", Source.COMPUTED, conditioned=2, frame=4,

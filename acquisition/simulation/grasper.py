@@ -17,7 +17,6 @@ FULL_CLOSURE_SHARE = 0.98  # of the thickness, or of the linkage's range: there 
 OPENING_FORCE_N = 0.02
 REST_OFFSET_SD_V = 0.005  # standard deviation of the rest voltage in the recordings
 FRICTION_SATURATION_M_PER_S = 1e-3  # jaw speed from which on the cable's friction is complete
-CURRENT_V_PER_N = 0.5  # assumed: the motor's current is proportional to its force
 BACKLASH_TAKEUP_N = 0.1  # force that tightens the cable
 REMAINING_TISSUE_SHARE = 0.02  # share of the tissue that stays between the jaws after slipping
 
@@ -84,7 +83,6 @@ class SimulatedGrasper:
             "encoder_deg": self._read_encoder(encoder_deg),
             "touch_1_v": touch_v,
             "touch_2_v": touch_v,
-            "motor_current_v": self.actuator_force_n * CURRENT_V_PER_N,
         }
 
     def _compute_handle_signals(self) -> tuple[float, float]:
