@@ -246,6 +246,7 @@ EXAMPLES: dict[str, BaseModel] = {
                     name=_FILE.name,
                     size_bytes=_FILE.size_bytes,
                     modified_at=_FILE.made_at,
+                    recorded_at=_FILE.made_at,
                     duration_s=9.5,
                     problem=None,
                     whole=True,

@@ -189,7 +189,7 @@ def test_a_short_read_ends_the_tool_at_zero_and_counts_what_came(rig: Rig, arriv
 
 def test_a_failure_between_the_two_reads_ends_the_tool_at_zero(rig: Rig) -> None:
     def breaks(command_v: float) -> dict[str, float]:
-        return 0.0, float("nan"), 0.0, 0.0
+        return {"strain_v": 0.0, "encoder_deg": float("nan"), "touch_1_v": 0.0, "touch_2_v": 0.0}
 
     with rig.tool() as tool:
         tool.write_command(2.0)

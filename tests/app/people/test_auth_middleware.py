@@ -40,7 +40,7 @@ def answer(app: Any, path: str, receive: Any) -> int:
 @pytest.fixture
 def app(plan: ServicePlan) -> FastAPI:
     app = FastAPI()
-    problems.add_error_handlers(app)
+    problems.add_error_handlers(app, app.routes)
     app.add_middleware(
         auth_middleware.AuthMiddleware,
         authenticator=Authenticator(plan),
