@@ -63,7 +63,7 @@ class StudyRunner:
         if self._current_id:
             current = self._runs[self._current_id]
             by = f", started by {current.by}" if current.by else ""
-            text = f"A study is under way: {current.title}{by}. Stop it first, or wait for its end."
+            text = f"A study is under way: {current.title.rstrip('.')}{by}. Stop it first, or wait for its end."
             raise RefusedError(text, "study")
         try:
             run = self._create_run(entry, grasps, seed, by)

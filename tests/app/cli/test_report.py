@@ -1,10 +1,10 @@
 """`graspwatch report`, as a person calls it: what it writes, and each refusal."""
 
 import json
-from dataclasses import replace
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
