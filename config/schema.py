@@ -564,7 +564,19 @@ class LearnedLibrary(ConfigModel):
     calibration: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # `Tool.calibration_fingerprint`
     features: tuple[str, ...] = Field(min_length=1)
     usual_peak_v: Positive  # of the strain gage over rest; shares of force refer to it
-    session_scale: Positive  # deviation between recordings of one tissue; see docs/learning.md
+    spot_sd: tuple[Positive, ...]  # of `features` between spots of one tissue at one ramp; see docs/learning.md
+    spot_pairs: Annotated[int, Field(ge=0)]  # pairs of spots that this spread was learned from
+    prior_unknown: Probability  # that the tissue is none of the library's, before a grasp
+
+    @model_validator(mode="before")
+    @classmethod
+    def _is_of_this_version(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "session_scale" in given:
+            raise ValueError(
+                "an earlier version learned this library, which took spots of one tissue for more alike than they are; "
+                "learn it anew with `graspwatch learn`"
+            )
+        return given
 
     @model_validator(mode="after")
     def _are_the_features(self) -> Self:
@@ -572,6 +584,8 @@ class LearnedLibrary(ConfigModel):
             raise ValueError(
                 f"features are not {', '.join(LOADING_FEATURES)}: another version learned this library; learn it anew"
             )
+        if len(self.spot_sd) != len(self.features):
+            raise ValueError("spot_sd needs one number for each of features; learn the library anew")
         return self
 
 
@@ -602,7 +616,7 @@ class TissueLibrary(ConfigModel):
 
     @model_validator(mode="after")
     def _reserved_names(self) -> Self:
-        taken = {"unknown", "undecided"} & set(self.tissues)
+        taken = {"unknown", "undecided", "no_answer"} & set(self.tissues)
         if taken:
             raise ValueError(f"{', '.join(sorted(taken))}: reserved, give the tissue another name")
         return self
@@ -809,13 +823,17 @@ class ConditioningSettings(ConfigModel):
 
 
 class IdentificationSettings(ConfigModel):
-    """Conditions for naming a tissue, and prior probabilities."""
+    """Conditions for naming a tissue, and prior probabilities.
+
+    Jaws that stay open for longer than `new_spot_after_s` between two grasps begin a new spot.
+    """
 
     decide_at: Probability = 0.95
     withdraw_below: Probability = 0.85
     confirm_s: NonNegative = 0.03
     prior_unknown: Probability = 0.05
     use_thickness: bool = True
+    new_spot_after_s: Positive = 5.0
     unknown_spread_log: Positive = 2.5
     convergence_error: Probability = 0.15
 

@@ -96,6 +96,22 @@ class GraspRecord(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
+class SpotVerdict:
+    """The answer for a spot, from the finished grasps on it. `began_s` is in seconds since the source's first sample.
+
+    `grasps` are those that the answer is from: none without a valid grasp. A later verdict of the same `index` replaces
+    an earlier one.
+    """
+
+    index: int
+    grasps: tuple[int, ...]
+    label: str
+    probability: float | None
+    probabilities: dict[str, float]
+    began_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class LabelWithdrawal:
     """Withdrawal of a grasp's label. `probability` is the label's present probability.
 
@@ -121,6 +137,7 @@ class EstimateBlock:
     ended: tuple[GraspRecord, ...]
     alarms: tuple[ForceAlarm, ...]
     withdrawn: tuple[LabelWithdrawal, ...] = ()
+    spots: tuple[SpotVerdict, ...] = ()  # verdicts that are new in this block
 
 
 def finite_or_none(value: float) -> float | None:

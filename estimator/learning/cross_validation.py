@@ -12,7 +12,7 @@ import numpy as np
 
 from config.errors import ConfigurationError
 from config.schema import IdentificationSettings, TissueLibrary, Tool
-from estimator.decision import UNDECIDED, UNKNOWN, Decision
+from estimator.decision import NO_ANSWER, NOT_NAMED, UNKNOWN, Decision
 from estimator.learning.recorded_grasps import LabeledRecording, RecordedGrasp
 from estimator.loading.learned_evidence import LearnedEvidence, LearnedGrasp
 
@@ -133,14 +133,14 @@ class _FoldEvaluator:
         for begin in range(0, len(grasp.samples), STEP_SAMPLES):
             samples = grasp.samples[begin : begin + STEP_SAMPLES]
             probabilities = learned.process(samples)
-            decision.update(probabilities, int(samples["tick"][-1]))
+            decision.update(probabilities, int(samples["tick"][-1]), complete=learned.loading_curve.ended)
             while (
                 len(course) < len(FORCE_CHECKPOINTS)
                 and learned.loading_curve.peak_v >= FORCE_CHECKPOINTS[len(course)] * self._peak_v
             ):
                 course.append(probabilities)
         course += [probabilities] * (len(FORCE_CHECKPOINTS) + 1 - len(course))
-        label = UNDECIDED if grasp.find_fault() and decision.label != UNKNOWN else decision.label
+        label = NO_ANSWER if grasp.find_fault() else decision.label
         at = self._names.index(truth)
         return ValidationAnswer(
             question,
@@ -148,7 +148,7 @@ class _FoldEvaluator:
             grasp.index,
             truth,
             label,
-            None if label == UNDECIDED else (decision.decided_tick - start) / self._rate_hz,
+            None if label in NOT_NAMED else (decision.decided_tick - start) / self._rate_hz,
             dict(zip(self._names, map(float, probabilities), strict=True)),
             tuple(float(each[at]) for each in course),
             tuple(self._names[int(each.argmax())] for each in course),

@@ -51,13 +51,14 @@ export class TissueCard {
 
   private renderAnswer(held: Identification, nowMs: number): void {
     const past = !held.in_grasp;
-    setData(this.card, "answer", held.label === "undecided" ? "undecided" : "named");
-    setData(this.card, "slot", held.label === "undecided" ? "" : this.slotOf(held.label));
+    const isNamed = held.label !== "undecided" && held.label !== "no_answer";
+    setData(this.card, "answer", isNamed ? "named" : "undecided");
+    setData(this.card, "slot", !isNamed ? "" : this.slotOf(held.label));
     setData(this.card, "past", String(past));
     setText(find(this.root, "tissue-when"), past ? `Last grasp${this.sinceEnd(nowMs)}` : `${this.holding(nowMs)} · grasp ${held.grasp}`);
-    setText(find(this.root, "tissue-mark"), held.label === "undecided" ? "…" : this.markOf(held.label));
+    setText(find(this.root, "tissue-mark"), isNamed ? this.markOf(held.label) : held.label === "undecided" ? "…" : "×");
     setText(find(this.root, "tissue-label"), this.model.titleOf(held.label));
-    setText(find(this.root, "tissue-probability"), held.label === "undecided" ? "" : percent(held.probability));
+    setText(find(this.root, "tissue-probability"), !isNamed ? "" : percent(held.probability));
     setText(find(this.root, "tissue-facts"), this.facts(held));
     if (!this.model.isReplay) setText(find(document, "label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
   }
@@ -74,6 +75,7 @@ export class TissueCard {
 
   private facts(held: Identification): string {
     if (held.in_grasp && !held.in_contact) return "closing, no contact yet";
+    if (held.label === "no_answer") return "a sensor failed during this grasp";
     if (held.label === "undecided") return this.undecidedFacts(held);
     const after = held.time_to_decision_s === null ? "" : `decided ${shortTime(held.time_to_decision_s)} after contact`;
     return [held.label === "unknown" ? "nothing of the library" : "", after].filter(Boolean).join(" · ");
