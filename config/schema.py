@@ -552,6 +552,7 @@ def _check_covariance(name: str, rows: tuple[tuple[float, ...], ...], size: int)
         )
 
 
+EARLIER_SPREAD_OF_FEATURES = (1.5, 0.2, 0.2, 0.35, 0.35, 0.024, 0.12, 0.5)  # times `session_scale`
 LOADING_FEATURES = ("opening", "force_40deg", "force_5deg", "knee", "lean", "stall", "yield", "give")
 
 
@@ -562,20 +563,22 @@ class LearnedLibrary(ConfigModel):
     base: str  # library that injury thresholds, mass and jaw area come from
     tool: str
     calibration: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # `Tool.calibration_fingerprint`
-    features: tuple[str, ...] = Field(min_length=1)
+    features: Annotated[NameTuple, Field(min_length=1)]
     usual_peak_v: Positive  # of the strain gage over rest; shares of force refer to it
-    spot_sd: tuple[Positive, ...]  # of `features` between spots of one tissue at one ramp; see docs/learning.md
+    # of `features` between spots of one tissue at one ramp; see docs/learning.md
+    spot_sd: Annotated[tuple[Positive, ...], Field(strict=False)]
     spot_pairs: Annotated[int, Field(ge=0)]  # pairs of spots that this spread was learned from
     prior_unknown: Probability  # that the tissue is none of the library's, before a grasp
+    session_scale: Positive | None = None  # only of earlier versions, which had it instead of the three above
 
     @model_validator(mode="before")
     @classmethod
-    def _is_of_this_version(cls, given: Any) -> Any:
-        if isinstance(given, dict) and "session_scale" in given:
-            raise ValueError(
-                "an earlier version learned this library, which took spots of one tissue for more alike than they are; "
-                "learn it anew with `graspwatch learn`"
-            )
+    def _read_earlier_version(cls, given: Any) -> Any:
+        """Give a library in a recording of an earlier version the spread that it had, so that it can be read."""
+        scale = given.get("session_scale") if isinstance(given, dict) else None
+        if isinstance(scale, float) and "spot_sd" not in given:
+            spread = [scale * sd for sd in EARLIER_SPREAD_OF_FEATURES]
+            return {**given, "spot_sd": spread, "spot_pairs": 4, "prior_unknown": 0.05}
         return given
 
     @model_validator(mode="after")

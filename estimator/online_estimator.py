@@ -104,8 +104,8 @@ class TissueEstimator:
         self._run = ""
         self._reset()
 
-    def _reset(self) -> None:
-        """Discard all samples seen so far. The force alarms keep their state, because the force continues."""
+    def _reset(self, first_tick: int = 0) -> None:
+        """Discard all samples before `first_tick`. The force alarms keep their state, because the force continues."""
         self._recent_samples = np.zeros(0, SAMPLE_DTYPE)
         self._rest_noise = RestNoiseEstimator(self._tool)
         self._previous_closure_deg: float | None = (
@@ -119,7 +119,9 @@ class TissueEstimator:
         self._published_label = UNDECIDED  # last published label of the current grasp
         self._criteria = self._empty_criteria()
         self._last_tick = 0
-        self._spots = SpotTracker(self._learned_evidence or self.evidence, self._names, self._settings, self._rate_hz)
+        self._spots = SpotTracker(
+            self._learned_evidence or self.evidence, self._names, self._settings, self._rate_hz, first_tick
+        )
 
     def _empty_criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
         nothing: dict[str, float | None] = dict.fromkeys(self._thresholds_n)
@@ -131,7 +133,7 @@ class TissueEstimator:
         if block.run and block.run != self._run:
             cut_short = self.finish()
             ended += [cut_short] if cut_short else []
-            self._reset()
+            self._reset(int(block.samples["tick"][0]))
         self._run = block.run
         n, kept = len(block.samples), len(self._recent_samples)
         window = np.empty(kept + n, SAMPLE_DTYPE)
@@ -159,7 +161,6 @@ class TissueEstimator:
             tuple(ended),
             tuple(alarms),
             tuple(withdrawn),
-            self._spots.pop_verdicts(),
         )
 
     def finish(self) -> GraspRecord | None:
@@ -170,9 +171,9 @@ class TissueEstimator:
         return self._end_grasp(self._grasp, self._last_tick)
 
     @property
-    def spot_verdict(self) -> SpotVerdict | None:
-        """The answer for the spot under way; None before its first finished grasp."""
-        return self._spots.verdict
+    def spots(self) -> tuple[SpotVerdict, ...]:
+        """Verdicts of the spots so far, in order; the last one may be of a spot without a grasp yet."""
+        return self._spots.verdicts
 
     def _end_grasp(self, grasp: GraspEstimator, end_tick: int) -> GraspRecord:
         self._spots.append(grasp, end_tick)
@@ -332,6 +333,7 @@ class TissueEstimator:
             thickness_m=grasp.thickness_m if grasp else None,
             convergence_s=self._criteria[0],
             force_error_n=self._criteria[1],
+            spots=self._spots.verdicts,
         )
 
     def _forecast_time_to_limit_s(self, limit_n: float) -> float | None:

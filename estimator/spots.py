@@ -11,9 +11,9 @@ from estimator.decision import NO_ANSWER, UNDECIDED
 from estimator.estimate_block import SpotVerdict
 from estimator.evidence import BankEvidence, GraspLikelihood
 from estimator.grasp_estimation import GraspEstimator
-from estimator.learning.robust_covariance import compute_robust_mean
 from estimator.loading.learned_evidence import LearnedEvidence, LearnedGrasp
 from estimator.loading.loading_curve import ObservedFeatures
+from estimator.loading.robust_covariance import compute_robust_mean
 
 
 class BankSpot:
@@ -80,14 +80,16 @@ class SpotTracker:
         names: tuple[str, ...],
         settings: IdentificationSettings,
         rate_hz: float,
+        first_tick: int = 0,
     ) -> None:
-        """`names`: the library's tissues, then `unknown`."""
+        """`names`: the library's tissues, then `unknown`. The first spot begins at `first_tick`."""
         self._source, self._names, self._settings, self._rate_hz = evidence, names, settings, rate_hz
         self._index, self._began_tick = 0, 0
         self._requested = False  # during a grasp, which belongs to the old spot
         self._last_end_tick: int | None = None
-        self._verdicts: list[SpotVerdict] = []
-        self._begin(0)
+        self._all: tuple[SpotVerdict, ...] = ()
+        self._verdicts: dict[int, SpotVerdict] = {}  # by the spot's index
+        self._begin(first_tick)
 
     def _begin(self, tick: int) -> None:
         self._index += 1
@@ -96,7 +98,6 @@ class SpotTracker:
         self._evidence = LearnedSpot(source) if isinstance(source, LearnedEvidence) else BankSpot(source)
         self._grasps: list[int] = []  # those that the verdict is from
         self._finished, self._faults = 0, 0
-        self.verdict: SpotVerdict | None = None
 
     @property
     def is_new(self) -> bool:
@@ -109,7 +110,7 @@ class SpotTracker:
             self._requested = True
         elif not self.is_new:
             self._begin(tick)
-            self._verdicts.append(self._build_verdict())
+            self._update_verdict()
 
     def on_grasp_start(self, tick: int) -> None:
         """Begin a new spot if the jaws were open for long enough before this grasp."""
@@ -125,12 +126,11 @@ class SpotTracker:
         found = grasp.measure_likelihood()
         if found is not None and self._append_evidence(found):
             self._grasps.append(grasp.index)
-        self.verdict = self._build_verdict()
-        self._verdicts.append(self.verdict)
+        self._update_verdict()
         if self._requested:
             self._requested = False
             self._begin(end_tick)
-            self._verdicts.append(self._build_verdict())
+            self._update_verdict()
 
     def _append_evidence(self, found: GraspLikelihood | LearnedGrasp) -> bool:
         """Return whether the grasp is evidence for its spot."""
@@ -140,10 +140,14 @@ class SpotTracker:
         assert isinstance(self._evidence, LearnedSpot)
         return self._evidence.append(found)
 
-    def pop_verdicts(self) -> tuple[SpotVerdict, ...]:
-        """Return the verdicts that are new since the last call, in order."""
-        verdicts, self._verdicts = tuple(self._verdicts), []
-        return verdicts
+    @property
+    def verdicts(self) -> tuple[SpotVerdict, ...]:
+        """The verdicts so far, one for each spot in order; the last one may be of a spot without a grasp yet."""
+        return self._all
+
+    def _update_verdict(self) -> None:
+        self._verdicts[self._index] = self._build_verdict()
+        self._all = tuple(self._verdicts.values())
 
     def _build_verdict(self) -> SpotVerdict:
         """Return the verdict; *undecided* below the probability that a name needs."""

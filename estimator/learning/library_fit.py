@@ -15,10 +15,15 @@ from config.schema import (
     TissueProfile,
     Tool,
 )
-from estimator.learning.recorded_grasps import LoadingCurves
-from estimator.learning.robust_covariance import robust_scatter, shrunk_scatter
+from estimator.learning.recorded_grasps import (
+    LabeledRecording,
+    LoadingCurves,
+    estimate_usual_peak_v,
+    extract_loading_curves,
+)
 from estimator.loading.between_spots import estimate_spot_spread
 from estimator.loading.constants import BETWEEN_SD, FEATURES, PARAMETER_FLOOR_LOG_SD, PRIOR_UNKNOWN, WITHIN_FLOOR_SHARE
+from estimator.loading.robust_covariance import robust_scatter, shrunk_scatter
 
 SIGNIFICANT_DIGITS = 6
 
@@ -87,6 +92,15 @@ def fit_library(
         ),
         tissues=tissues,
     )
+
+
+def fit_recordings(
+    recordings: Sequence[LabeledRecording], *, tool: Tool, base: TissueLibrary, base_name: str, date: str
+) -> TissueLibrary:
+    """Return the library learned from recordings alone, their usual peak included; raises as `fit_library`."""
+    peak_v = estimate_usual_peak_v(recordings)
+    curves = [extract_loading_curves(each, tool, peak_v) for each in recordings]
+    return fit_library(curves, tool, base, base_name, peak_v, name="validated", date=date)
 
 
 def find_base_tissue(label: str, base: TissueLibrary) -> str | None:

@@ -73,7 +73,7 @@ def import_labview(
     ) as file:
         for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
             file.append(block, session.process(block))
-        file.add_interrupted_grasp(session.finish())
+        file.add_interrupted_grasp(session.finish(), session.spots)
         file.run = file.run.model_copy(update={"cycles": max(file.run.grasps, 1)})
         file.end_run(RunState.FINISHED, f"imported from {to_printable(source.name)}", ended_at)
     return ImportedLog(path, remarks)
