@@ -28,7 +28,19 @@ export class TissueCard {
     if (hello && this.barsFor !== hello.library.tissues) this.buildBars(hello);
     if (!identification || identification.grasp === 0) this.renderNothingHeld();
     else this.renderAnswer(identification, nowMs);
+    setText(find(this.root, "tissue-spot"), identification ? this.spotText(identification) : "");
     this.renderBars(identification);
+  }
+
+  private spotText({ spots }: Identification): string {
+    const spot = spots.at(-1);
+    if (!spot) return "";
+    const count = spot.grasps.length;
+    const from = `from ${count} ${count === 1 ? "grasp" : "grasps"}`;
+    if (count === 0) return spot.label === "no_answer" ? `Spot ${spot.index}: no answer` : `Spot ${spot.index}: new`;
+    if (spot.label !== "undecided") return `Spot ${spot.index}: ${this.model.titleOf(spot.label)} ${percent(spot.probability)}, ${from}`;
+    const [likeliest] = Object.entries(spot.probabilities).toSorted(([, a], [, b]) => b - a);
+    return likeliest ? `Spot ${spot.index}: likeliest ${this.model.titleOf(likeliest[0])}, ${percent(likeliest[1])}, ${from}` : "";
   }
 
   private renderNothingHeld(): void {
