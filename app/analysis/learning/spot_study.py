@@ -19,7 +19,7 @@ between spots, and the usual force. So no grasp is judged by a library that know
 spot. Intervals are exact binomial ones of 95 %; grasps on one spot are not independent, so the interval of the spots
 is the honest one.
 
-Grasps without an answer (a sensor fault) count as wrong in the shares, and are left out of log loss and calibration.
+Grasps without an answer (a sensor fault) count as wrong in the share of grasps, and are left out of everything else.
 Log loss has a floor of 0.001 for the probability of the truth. Times count from the command leaving zero.
 
 "Tissue left out": all recordings of a tissue are left out. Its grasps should be unknown or undecided, never named.
@@ -37,7 +37,7 @@ def build_spot_study(
         study.figures += _build_spot_figures(spots)
     else:
         study.figures.append(KeyFigure("recordings of a tissue that has another one", 0))
-    others = [answer for result in strangers for answer in result.grasps]
+    others = [answer for result in strangers for answer in result.grasps if answer.label != NO_ANSWER]
     if others:
         named = sum(each.label not in (*NOT_NAMED, UNKNOWN) for each in others)
         study.figures.append(
@@ -96,10 +96,14 @@ def _build_grasp_figures(answers: Sequence[ValidationAnswer]) -> list[KeyFigure]
 
 
 def _build_spot_figures(spots: Sequence[RecordingResult]) -> list[KeyFigure]:
-    last = [(result.spot[-1], result.truth) for result in spots if result.spot]
-    right = sum(spot.label != NO_ANSWER and _top(spot.probabilities) == truth for spot, truth in last)
+    every = [(result.spot[-1], result.truth) for result in spots if result.spot]
+    last = [(spot, truth) for spot, truth in every if spot.label != NO_ANSWER]
+    figures = [KeyFigure("spots", len(last)), KeyFigure("spots: no answer", len(every) - len(last))]
+    if not last:
+        return figures
+    right = sum(_top(spot.probabilities) == truth for spot, truth in last)
     return [
-        KeyFigure("spots", len(last)),
+        *figures,
         KeyFigure("spots: likeliest right", 100 * right / len(last), "%", note=_interval(right, len(last))),
         KeyFigure("spots: named and right", sum(spot.label == truth for spot, truth in last)),
         KeyFigure("spots: named and wrong", sum(spot.label not in (*NOT_NAMED, truth) for spot, truth in last)),

@@ -105,6 +105,7 @@ class Report:
             "lost_samples": recording.lost_samples,
             "duration_s": recording.duration_s,
             "held": self.labels.get(recording.title) or recording.tissue,
+            "spots": [spot.model_dump() for spot in recording.spots],
             "grasps": [
                 {
                     **to_json_value(record.model_dump()),
