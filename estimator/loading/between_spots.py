@@ -108,7 +108,7 @@ class SpotCenters:
         prior = PRIOR_TISSUES * (TISSUE_TO_SPOT_RATIO * self.spot_sd) ** 2
         variance = (prior + ((means - middle) ** 2).sum(axis=0)) / freedom
         covariance = (1 + 1 / count) * correlate_features(np.sqrt(variance)) + correlate_features(self.spot_sd)
-        return middle, covariance, min(freedom, GRASP_DEGREES_OF_FREEDOM)
+        return middle, covariance, min(freedom, self.degrees_of_freedom)  # it is in units of the spots' spread
 
 
 def _compute_ramp_kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
