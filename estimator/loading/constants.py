@@ -52,9 +52,9 @@ SHAPE_WEIGHT = 5.0  # strength of the shrinkage of correlations, in grasps
 
 # --- the answer -------------------------------------------------------------------------------------------------------
 GRASP_DEGREES_OF_FREEDOM = 8.0  # of Student's t, at most: a grasp far from all spots must not give a sure answer
-# Probability, before a grasp, that the tissue is none of the library's. It is three times the settings' default,
+# Probability, before a grasp, that the tissue is none of the library's. It is more than the settings' default,
 # because a learned library holds few tissues: with any one of them left out, few of its grasps may get another's name.
-PRIOR_UNKNOWN = 0.15
+PRIOR_UNKNOWN = 0.125
 CLOSURE_STEP_DEG = 4.0  # step of the jaw closure angle for the features' sensitivity to it
 # How well the previous grasp predicts the jaw closure angle: probability and SD, degrees. Mostly it held the same
 # tissue; another one may be thicker by 17 degrees.
