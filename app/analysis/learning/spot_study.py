@@ -138,7 +138,10 @@ def _build_file_table(results: Sequence[RecordingResult]) -> Table:
 def _build_course_table(results: Sequence[RecordingResult]) -> Table:
     rows = []
     for result in results:
-        answers, count = result.grasps, max(len(result.grasps), 1)
+        answers = [each for each in result.grasps if each.label != NO_ANSWER]
+        if not answers:
+            continue
+        count = len(answers)
         at_force = [sum(each.most_likely[i] == each.truth for each in answers) / count for i in range(4)]
         in_time = [
             sum(each.most_likely_in_time[i] == each.truth for each in answers) / count
