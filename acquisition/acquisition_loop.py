@@ -34,6 +34,7 @@ MAX_READBACK_MISMATCH_S = 0.09
 PROMPT_READ_S = 0.01  # a reader that is at most this far behind its board does not lag
 MAX_BACKLOG_S = 1.0  # with a larger backlog the present force is not known
 LIMITED, RELEASED = SampleFlag.LIMITED.value, SampleFlag.RELEASED.value
+NEW_SPOT = SampleFlag.NEW_SPOT.value
 
 
 SCALE_UNKNOWN_TEXT = (
@@ -79,6 +80,7 @@ class AcquisitionController:
         )
         self._limiter = limiter
         self._limiter_flags = 0  # LIMITED and RELEASED, for the next command to be written
+        self._spot_requested = False
         self._release_reasons: list[str] = []
         rate_hz = tool.board.sample_rate_hz
         self._prompt_backlog, self._max_backlog = round(PROMPT_READ_S * rate_hz), round(MAX_BACKLOG_S * rate_hz)
@@ -134,6 +136,16 @@ class AcquisitionController:
         if self._limiter is not None:
             self._limiter.set_threshold(threshold_n, tick)
 
+    def begin_spot(self) -> None:
+        """Mark the next sample as the first of a new spot.
+
+        Raises:
+            RefusedError: no run is under way.
+        """
+        if not self.running:
+            raise RefusedError("No run is under way. Each run begins a new spot, so just start one.")
+        self._spot_requested = True
+
     def stop(self, why: str) -> bool:
         """Set the motor to zero at once, in every state; return whether this ended a run."""
         return self._end_run(SafetyEvent.STOP, RunOutcome.STOPPED, why)
@@ -187,6 +199,9 @@ class AcquisitionController:
         limit_n = self._limiter.limit_n if self._limiter else math.nan
         run_id = self._run_id if self.running else ""
         block = self._pipeline.process(replace(raw, limiter_flags=commands.flags, limit_n=limit_n, run=run_id))
+        if self._spot_requested:
+            block.samples["flags"][0] |= NEW_SPOT
+            self._spot_requested = False
         caught_up = self._count_caught_up(raw.backlog)
         self._self_test.append(block.samples)
         tare = self._pipeline.tare

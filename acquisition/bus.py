@@ -226,7 +226,20 @@ class SimulatedPullAndGaugeCommand:
     gauge_m: float | None
 
 
-AnyCommand = ArmCommand | DisarmCommand | AcknowledgeCommand | StartCommand | StopCommand | SimulatedPullAndGaugeCommand
+@dataclass(frozen=True, slots=True)
+class BeginSpotCommand:
+    """Begin a new spot with the next sample; a grasp under way belongs to the spot before."""
+
+
+AnyCommand = (
+    ArmCommand
+    | DisarmCommand
+    | AcknowledgeCommand
+    | StartCommand
+    | StopCommand
+    | BeginSpotCommand
+    | SimulatedPullAndGaugeCommand
+)
 _COMMAND_TYPES = {kind.__name__: TypeAdapter(kind) for kind in get_args(AnyCommand)}
 
 

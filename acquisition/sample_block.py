@@ -22,6 +22,7 @@ class SampleFlag(IntFlag):
     FILTERED_INVALID = 128  # as INVALID, for the filtered signals alone
     LIMITED = 256  # the limiter keeps the command lower than the protocol asks for
     RELEASED = 512  # the force passed the limit: the command is zero until the protocol's next grasp
+    NEW_SPOT = 1024  # the operator begins a new spot at this sample
 
 
 SAMPLE_DTYPE = np.dtype([(signal.name, signal.dtype) for signal in SIGNALS])

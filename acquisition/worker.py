@@ -192,6 +192,8 @@ def _execute_command(command: bus.AnyCommand | None, acquisition: AcquisitionCon
                 acquisition.disarm()
             case bus.AcknowledgeCommand():
                 acquisition.acknowledge()
+            case bus.BeginSpotCommand():
+                acquisition.begin_spot()
         return bus.CommandReply()
     except RefusedError as error:
         return bus.CommandReply(refused=str(error))

@@ -40,7 +40,13 @@ def find_tool_file(name: str) -> Path:
 
 
 def load_library(name: str) -> TissueLibrary:
-    return _load_named(name, "tissues", "tissue library", TissueLibrary)
+    library = _load_named(name, "tissues", "tissue library", TissueLibrary)
+    if library.learned and library.learned.session_scale is not None:
+        raise ConfigurationError(
+            f"{name}: an earlier version learned this library, and took spots of one tissue for more alike than they "
+            "are. Learn it anew with `graspwatch learn`."
+        )
+    return library
 
 
 def build_graspable_library(library: TissueLibrary) -> TissueLibrary:

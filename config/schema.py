@@ -560,6 +560,7 @@ def _check_covariance(name: str, rows: tuple[tuple[float, ...], ...], size: int)
         )
 
 
+EARLIER_SPREAD_OF_FEATURES = (1.5, 0.2, 0.2, 0.35, 0.35, 0.024, 0.12, 0.5)  # times `session_scale`
 LOADING_FEATURES = ("opening", "force_40deg", "force_5deg", "knee", "lean", "stall", "yield", "give")
 
 
@@ -570,9 +571,23 @@ class LearnedLibrary(ConfigModel):
     base: str  # library that injury thresholds, mass and jaw area come from
     tool: str
     calibration: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # `Tool.calibration_fingerprint`
-    features: tuple[str, ...] = Field(min_length=1)
+    features: Annotated[NameTuple, Field(min_length=1)]
     usual_peak_v: Positive  # of the strain gage over rest; shares of force refer to it
-    session_scale: Positive  # deviation between recordings of one tissue; see docs/learning.md
+    # of `features` between spots of one tissue at one ramp; see docs/learning.md
+    spot_sd: Annotated[tuple[Positive, ...], Field(strict=False)]
+    spot_pairs: Annotated[int, Field(ge=0)]  # pairs of spots that this spread was learned from
+    prior_unknown: Probability  # that the tissue is none of the library's, before a grasp
+    session_scale: Positive | None = None  # only of earlier versions, which had it instead of the three above
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_earlier_version(cls, given: Any) -> Any:
+        """Give a library in a recording of an earlier version the spread that it had, so that it can be read."""
+        scale = given.get("session_scale") if isinstance(given, dict) else None
+        if isinstance(scale, float) and "spot_sd" not in given:
+            spread = [scale * sd for sd in EARLIER_SPREAD_OF_FEATURES]
+            return {**given, "spot_sd": spread, "spot_pairs": 4, "prior_unknown": 0.05}
+        return given
 
     @model_validator(mode="after")
     def _are_the_features(self) -> Self:
@@ -580,6 +595,8 @@ class LearnedLibrary(ConfigModel):
             raise ValueError(
                 f"features are not {', '.join(LOADING_FEATURES)}: another version learned this library; learn it anew"
             )
+        if len(self.spot_sd) != len(self.features):
+            raise ValueError("spot_sd needs one number for each of features; learn the library anew")
         return self
 
 
@@ -610,7 +627,7 @@ class TissueLibrary(ConfigModel):
 
     @model_validator(mode="after")
     def _reserved_names(self) -> Self:
-        taken = {"unknown", "undecided"} & set(self.tissues)
+        taken = {"unknown", "undecided", "no_answer"} & set(self.tissues)
         if taken:
             raise ValueError(f"{', '.join(sorted(taken))}: reserved, give the tissue another name")
         return self
@@ -817,13 +834,17 @@ class ConditioningSettings(ConfigModel):
 
 
 class IdentificationSettings(ConfigModel):
-    """Conditions for naming a tissue, and prior probabilities."""
+    """Conditions for naming a tissue, and prior probabilities.
+
+    Jaws that stay open for longer than `new_spot_after_s` between two grasps begin a new spot.
+    """
 
     decide_at: Probability = 0.95
     withdraw_below: Probability = 0.85
     confirm_s: NonNegative = 0.03
     prior_unknown: Probability = 0.05
     use_thickness: bool = True
+    new_spot_after_s: Positive = 5.0
     unknown_spread_log: Positive = 2.5
     convergence_error: Probability = 0.15
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from config.errors import ConfigurationError
 
 MAX_LENGTH = 30  # with the longest addition, a column's name has at most the 63 characters of a variable in MATLAB
-RESERVED_NAMES = ("unknown", "undecided")
+RESERVED_NAMES = ("unknown", "undecided", "no_answer")
 COLUMN_NAMES = ("jaw", "probability_unknown", "threshold_n", "tick")  # with them, two columns would have one name
 _PATTERN = re.compile(r"[a-z][a-z0-9_]*")
 

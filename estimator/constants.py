@@ -66,6 +66,8 @@ SECOND_PASS_AT = np.array([16, 64, 256, 1024])
 # SD of log alpha, beta, d beyond the specimens' spread: no tissue follows Eq. (7) exactly, and other motion looks like
 # damping.
 MODEL_ERROR_LOG_SD = np.array([0.05, 0.02, 0.3])
+# SD of log alpha, beta, d of grasps on one spot about the spot's own: part of the spread of specimens.
+GRASP_SCATTER_LOG_SD = np.array([0.03, 0.01, 0.05])
 # Mean normalized innovation squared up to which the model fits; beyond it the data's information is scaled down.
 NIS_TOLERANCE = 1.3
 SURPRISE_MIN_SAMPLES = 20  # samples after contact before the best filter's running misfit is meaningful

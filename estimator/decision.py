@@ -8,6 +8,8 @@ from config.schema import IdentificationSettings
 
 UNDECIDED = "undecided"
 UNKNOWN = "unknown"
+NO_ANSWER = "no_answer"  # of a grasp with a sensor fault; never a decision
+NOT_NAMED = (UNDECIDED, NO_ANSWER)
 
 
 @dataclass(slots=True)
@@ -26,9 +28,13 @@ class Decision:
     _candidate: str = UNDECIDED
     _candidate_tick: int = -1
 
-    def update(self, probabilities: np.ndarray, tick: int) -> None:
-        """Update the label with the probabilities, (M + 1,), at a tick."""
-        if self.label != UNDECIDED and probabilities[self.names.index(self.label)] < self.settings.withdraw_below:
+    def update(self, probabilities: np.ndarray, tick: int, *, complete: bool = False) -> None:
+        """Update the label with the probabilities, (M + 1,), at a tick.
+
+        With `complete` evidence the probabilities no longer move. So a name needs `decide_at`, without the hysteresis.
+        """
+        least = self.settings.decide_at if complete else self.settings.withdraw_below
+        if self.label != UNDECIDED and probabilities[self.names.index(self.label)] < least:
             self.label, self.decided_tick = UNDECIDED, -1
         top = int(np.argmax(probabilities))
         candidate = self.names[top] if probabilities[top] >= self.settings.decide_at else UNDECIDED

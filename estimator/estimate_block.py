@@ -42,6 +42,19 @@ def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
     return rows
 
 
+class SpotVerdict(BaseModel):
+    """The answer for a spot, from the finished grasps on it; None means no value."""
+
+    model_config = ConfigDict(frozen=True)
+
+    index: int = Field(description="1, 2, ... in a run")
+    grasps: tuple[int, ...] = Field(description="Grasps that the answer is from; those without an answer are left out")
+    label: str = Field(description="A tissue's name, `unknown`, `undecided` or `no_answer`")
+    probability: float | None
+    probabilities: dict[str, float]
+    began_s: float = Field(description="Seconds since the first sample of the run or recording")
+
+
 class IdentificationResult(BaseModel):
     """The answer for the current grasp at `tick`; None means no value."""
 
@@ -51,7 +64,7 @@ class IdentificationResult(BaseModel):
     grasp: int = Field(description="0 before the first grasp")
     in_grasp: bool
     in_contact: bool
-    label: str = Field(description="A tissue's name, `unknown` or `undecided`")
+    label: str = Field(description="A tissue's name, `unknown`, `undecided` or `no_answer`")
     probability: float | None
     probabilities: dict[str, float]
     time_to_decision_s: float | None
@@ -65,6 +78,9 @@ class IdentificationResult(BaseModel):
     thickness_m: float | None = Field(description="Thickness of the tissue, where the tool can measure it at contact")
     convergence_s: dict[str, float | None]
     force_error_n: dict[str, float | None]
+    spots: tuple[SpotVerdict, ...] = Field(
+        default=(), description="Verdicts of the spots so far; the last one may be of a spot without a grasp yet"
+    )
 
 
 class GraspRecord(BaseModel):
@@ -76,7 +92,7 @@ class GraspRecord(BaseModel):
     start_s: float
     contact_s: float | None
     end_s: float
-    label: str = Field(description="A tissue's name, `unknown` or `undecided`")
+    label: str = Field(description="A tissue's name, `unknown`, `undecided` or `no_answer`")
     probability: float | None
     probabilities: dict[str, float]
     time_to_decision_s: float | None

@@ -10,6 +10,8 @@ The tissue's thickness at contact is further evidence, where the tool senses con
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -19,6 +21,7 @@ from estimator.compilation import compiled
 from estimator.constants import (
     FILLED_JAWS_MARGIN_M,
     FOLD_PROBABILITY,
+    GRASP_SCATTER_LOG_SD,
     MODEL_ERROR_LOG_SD,
     NIS_TOLERANCE,
     SURPRISE_EFFECTIVE_SAMPLES,
@@ -30,6 +33,20 @@ from estimator.filter_bank import FilterBank
 from estimator.kalman_filter import INFLATION, LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, find_most_likely
 
 UNINFORMATIVE_VAR = 1e100  # variance of a prior without information
+
+
+@dataclass(frozen=True, slots=True)
+class GraspLikelihood:
+    """What the bank knows of a finished grasp, apart from all priors.
+
+    For each kind of filter: log weight, (K,); information matrix, (K, 3, 3), and vector, (K, 3), of log alpha, log beta
+    and log d. A kind that diverged has the log weight -inf. `other` holds further log-likelihoods, (M + 1,).
+    """
+
+    log_weight: np.ndarray
+    information: np.ndarray
+    vector: np.ndarray
+    other: np.ndarray
 
 
 class BankEvidence:
@@ -71,6 +88,62 @@ class BankEvidence:
             self._log_prior + log_likelihood,
             result,
         )
+        return result
+
+    def measure_likelihood(self, log_likelihood: np.ndarray | float = 0.0) -> GraspLikelihood:
+        """Return the likelihood of the grasp as the bank knows it now, with other independent evidence, (M + 1,)."""
+        state, priors, tissues = self._bank.state, self._bank.priors, len(self._bank.priors.names)
+        kinds = len(state.mean) // tissues
+        found = GraspLikelihood(
+            np.full(kinds, -np.inf), np.zeros((kinds, 3, 3)), np.zeros((kinds, 3)), np.zeros(tissues + 1)
+        )
+        for kind in range(kinds):
+            best = find_most_likely(kind * tissues, (kind + 1) * tissues, state.fit_statistics, state.valid)
+            if best < 0:
+                continue
+            fit = state.fit_statistics[best]
+            own = priors.mean[best % tissues]
+            own_var = self._bank.filter_sd[best % tissues] ** 2 * min(fit[INFLATION], UNINFORMATIVE_VAR)
+            misfit = max(fit[NIS_SUM] / max(state.samples_taken[0] - 1, 1) / NIS_TOLERANCE, 1.0)
+            information, vector = compute_parameter_likelihood(state.mean[best], state.cov[best], own, own_var)
+            found.log_weight[kind] = fit[LOG_LIKELIHOOD] - compute_marginal_log_likelihood(
+                information, vector, own, own_var
+            )
+            found.information[kind], found.vector[kind] = information / misfit, vector / misfit
+        excess = max(float(state.surprise[0]) / SURPRISE_TOLERANCE, 1.0)
+        found.other[-1] = 0.5 * SURPRISE_EFFECTIVE_SAMPLES * (excess - 1.0 - math.log(excess))
+        found.other[:] += log_likelihood
+        return found
+
+    def combine(self, grasps: Sequence[GraspLikelihood]) -> np.ndarray:
+        """Return posterior probabilities, (M + 1,), of the tissue of a spot from several grasps on it.
+
+        The spot's parameters are one draw of the tissue's prior, and each grasp scatters a little about them. So every
+        further grasp tells more of the spot, and never more than the spot tells of the tissue. Thickness and misfit
+        belong to the spot: their mean counts once.
+        """
+        if not grasps:
+            return self.prior
+        scatter_var = GRASP_SCATTER_LOG_SD**2
+        result = np.full(len(self._log_prior), -np.inf)
+        for kind in range(len(grasps[0].log_weight)):
+            common, information, vector = 0.0, np.zeros((3, 3)), np.zeros(3)
+            for each in grasps:
+                common += each.log_weight[kind]
+                blurred = np.linalg.inv(np.eye(3) + each.information[kind] * scatter_var)
+                information += blurred @ each.information[kind]
+                vector += blurred @ each.vector[kind]
+            if not np.isfinite(common):
+                continue
+            for j in range(len(result)):
+                of_spot = compute_marginal_log_likelihood(
+                    information, vector, self._mean[j], self._var[j] - scatter_var
+                )
+                result[j] = np.logaddexp(result[j], common + of_spot)
+        if not np.isfinite(result.max()):
+            result[-1] = 0.0
+        result += self._log_prior + np.mean([each.other for each in grasps], axis=0)
+        normalize_log_weights(result)
         return result
 
 

@@ -9,9 +9,9 @@ from acquisition.sample_block import SampleFlag
 from config.schema import IdentificationSettings as Settings
 from estimator.constants import EMPTY_JAWS_TRAVEL_M, FILLED_JAWS_MARGIN_M, JAW_OPENING_SHARE, MIN_PEAK_BEFORE_OPENING_N
 from estimator.criteria import ForceErrors
-from estimator.decision import UNDECIDED, UNKNOWN, Decision
+from estimator.decision import NO_ANSWER, NOT_NAMED, UNDECIDED, UNKNOWN, Decision
 from estimator.estimate_block import GraspRecord, finite_or_none
-from estimator.evidence import BankEvidence
+from estimator.evidence import BankEvidence, GraspLikelihood
 from estimator.filter_bank import BankState, FilterBank, bank_columns, build_contact_start
 from estimator.kalman_filter import PARAMETERS, X
 from estimator.loading.learned_evidence import LearnedGrasp
@@ -142,10 +142,11 @@ class GraspEstimator:
         if self.learned_grasp is None or self._jaws_empty:
             return
         if self.flags & ENCODER_SLIPS:
-            self._set_unknown()  # with a slipping encoder the travel is wrong, so no tissue can be named from it
-        else:
-            self.probabilities = self.learned_grasp.process(samples)
-        self.decision.update(self.probabilities, int(samples["tick"][-1]))
+            self.probabilities = self.learned_grasp.prior  # with a slipping encoder the travel is no evidence
+            return
+        self.probabilities = self.learned_grasp.process(samples)
+        complete = self.learned_grasp.loading_curve.ended
+        self.decision.update(self.probabilities, int(samples["tick"][-1]), complete=complete)
 
     def on_jaw_closure(self, jaw_closure_tick: int, contact_tick: int) -> None:
         """Restore the state before the jaws closed at `jaw_closure_tick`, and stop learning."""
@@ -196,7 +197,9 @@ class GraspEstimator:
 
     @property
     def label(self) -> str:
-        """The decision's label; `undecided` if it is a tissue and the grasp is invalid."""
+        """The decision's label; `no_answer` with a sensor fault, `undecided` if it is a tissue of an invalid grasp."""
+        if self.flags & (ENCODER_SLIPS | SATURATED):
+            return NO_ANSWER
         believed = self.decision.label == UNKNOWN or self.find_invalid_reason() is None
         return self.decision.label if believed else UNDECIDED
 
@@ -206,11 +209,17 @@ class GraspEstimator:
         unbelieved = self._in_contact_before or self.flags & ENCODER_SLIPS
         return None if unbelieved else self._gap_m
 
+    def measure_likelihood(self) -> GraspLikelihood | LearnedGrasp | None:
+        """Return the grasp's evidence for its spot; None from a grasp that is no evidence."""
+        if self.find_invalid_reason() is not None or self._jaws_empty:
+            return None
+        return self.learned_grasp or self._evidence.measure_likelihood(self._thickness_log_likelihood)
+
     def probabilities_by_name(self) -> dict[str, float]:
         return dict(zip((*self.names, UNKNOWN), map(float, self.probabilities), strict=True))
 
     def time_to_decision_s(self) -> float | None:
-        if self.label == UNDECIDED:
+        if self.label in NOT_NAMED:
             return None
         since = self.contact_tick if self.contact_tick >= 0 else self.start_tick
         return max(self.decision.decided_tick - since, 0) / self._rate_hz

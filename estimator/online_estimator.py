@@ -9,12 +9,13 @@ from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
 from acquisition.signals.grasp_tracker import BACKDATING_SAMPLES, COMMAND_CONFIRM_SAMPLES
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.constants import MIN_REST_SAMPLES, REST_SAMPLES, REST_SETTLING_SAMPLES, REST_VARIANCE_RANGE
-from estimator.decision import UNDECIDED
+from estimator.decision import NOT_NAMED, UNDECIDED, UNKNOWN
 from estimator.estimate_block import (
     EstimateBlock,
     GraspRecord,
     IdentificationResult,
     LabelWithdrawal,
+    SpotVerdict,
     blank_estimates,
     estimate_dtype,
     finite_or_none,
@@ -25,9 +26,11 @@ from estimator.force_alarms import ForceAlarm, ForceAlarmMonitor
 from estimator.forecast import ForceForecast
 from estimator.grasp_estimation import GraspEstimator
 from estimator.loading.learned_evidence import LearnedEvidence, LearnedGrasp
+from estimator.spots import SpotTracker
 
 IN_GRASP, CONTACT, CONTACT_SENSED = SampleFlag.IN_GRASP.value, SampleFlag.CONTACT.value, SampleFlag.CONTACT_SENSED.value
 INVALID, ENCODER_SLIPS, LIMITED = SampleFlag.INVALID.value, SampleFlag.ENCODER_SLIPS.value, SampleFlag.LIMITED.value
+NEW_SPOT = SampleFlag.NEW_SPOT.value
 APPROACH_SAMPLES = 8  # samples before contact that give the speed of the closing jaws
 STEP_SAMPLES = 5  # probabilities are updated at ticks that are multiples of this, and at a block's end
 # Median absolute difference of two Gaussian samples, in standard deviations of one sample.
@@ -94,14 +97,15 @@ class TissueEstimator:
         self.evidence = BankEvidence(self.bank, library, self._settings)
         library.check_tool(tool)
         self._learned_evidence = LearnedEvidence(library, tool, self._settings) if library.learned else None
+        self._names = (*library.tissues, UNKNOWN)
         self._alarm_monitor = ForceAlarmMonitor(settings.warnings)
         self._dtype = estimate_dtype(len(library.tissues))
         self._contact_detection = tool.contact
         self._run = ""
         self._reset()
 
-    def _reset(self) -> None:
-        """Discard all samples seen so far. The force alarms keep their state, because the force continues."""
+    def _reset(self, first_tick: int = 0) -> None:
+        """Discard all samples before `first_tick`. The force alarms keep their state, because the force continues."""
         self._recent_samples = np.zeros(0, SAMPLE_DTYPE)
         self._rest_noise = RestNoiseEstimator(self._tool)
         self._previous_closure_deg: float | None = (
@@ -115,6 +119,9 @@ class TissueEstimator:
         self._published_label = UNDECIDED  # last published label of the current grasp
         self._criteria = self._empty_criteria()
         self._last_tick = 0
+        self._spots = SpotTracker(
+            self._learned_evidence or self.evidence, self._names, self._settings, self._rate_hz, first_tick
+        )
 
     def _empty_criteria(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
         nothing: dict[str, float | None] = dict.fromkeys(self._thresholds_n)
@@ -126,7 +133,7 @@ class TissueEstimator:
         if block.run and block.run != self._run:
             cut_short = self.finish()
             ended += [cut_short] if cut_short else []
-            self._reset()
+            self._reset(int(block.samples["tick"][0]))
         self._run = block.run
         n, kept = len(block.samples), len(self._recent_samples)
         window = np.empty(kept + n, SAMPLE_DTYPE)
@@ -161,7 +168,16 @@ class TissueEstimator:
         if not (self._in_grasp and self._grasp):
             return None
         self._in_grasp = False
-        return self._grasp.finish(self._last_tick)
+        return self._end_grasp(self._grasp, self._last_tick)
+
+    @property
+    def spots(self) -> tuple[SpotVerdict, ...]:
+        """Verdicts of the spots so far, in order; the last one may be of a spot without a grasp yet."""
+        return self._spots.verdicts
+
+    def _end_grasp(self, grasp: GraspEstimator, end_tick: int) -> GraspRecord:
+        self._spots.append(grasp, end_tick)
+        return grasp.finish(end_tick)
 
     def _process_step(
         self, window: np.ndarray, rows: np.ndarray, ended: list[GraspRecord], withdrawn: list[LabelWithdrawal]
@@ -171,11 +187,14 @@ class TissueEstimator:
         in_grasp = bool(last["flags"] & IN_GRASP)
         self._rest_noise.update(window[-len(rows) :]["strain_v"].tolist(), at_rest=not in_grasp)
         if self._in_grasp and self._grasp and (not in_grasp or last["grasp"] != self._grasp.index):
-            ended.append(self._grasp.finish(int(last["tick"]) - COMMAND_CONFIRM_SAMPLES + 1))
+            ended.append(self._end_grasp(self._grasp, int(last["tick"]) - COMMAND_CONFIRM_SAMPLES + 1))
             self._in_grasp = False
             self._criteria = (ended[-1].convergence_s, ended[-1].force_error_n)
+        if np.bitwise_or.reduce(window[-len(rows) :]["flags"]) & NEW_SPOT:
+            self._spots.request(int(last["tick"]), in_grasp=in_grasp)
         if in_grasp and not self._in_grasp:
             self._in_grasp = True
+            self._spots.on_grasp_start(int(last["grasp_start_tick"]))
             self._criteria = self._empty_criteria()
             self._published_label = UNDECIDED
             self._strain_var_v2 = self._rest_noise.variance_v2()
@@ -204,14 +223,14 @@ class TissueEstimator:
             shut_deg = self._grasp.learned_grasp.loading_curve.jaw_closure_deg
             if shut_deg is not None or self._grasp.flags & ENCODER_SLIPS:
                 self._previous_closure_deg = None if self._grasp.flags & ENCODER_SLIPS else shut_deg
-        learned = self._learned_evidence.start_grasp(self._previous_closure_deg, first=self._grasp is None)
+        learned = self._learned_evidence.start_grasp(self._previous_closure_deg, first=self._spots.is_new)
         learned.loading_curve.append(before[np.searchsorted(before["tick"], start_tick) :])
         return learned
 
     def _note_withdrawal(self, grasp: GraspEstimator, tick: int, withdrawn: list[LabelWithdrawal]) -> None:
         """Append a withdrawal if the grasp no longer has the label that was published last."""
         told, self._published_label = self._published_label, grasp.label
-        if told not in (UNDECIDED, grasp.label):
+        if told not in (*NOT_NAMED, grasp.label):
             left = grasp.probabilities_by_name()[told]
             withdrawn.append(LabelWithdrawal(tick, grasp.index, told, left, grasp.find_invalid_reason()))
 
@@ -314,6 +333,7 @@ class TissueEstimator:
             thickness_m=grasp.thickness_m if grasp else None,
             convergence_s=self._criteria[0],
             force_error_n=self._criteria[1],
+            spots=self._spots.verdicts,
         )
 
     def _forecast_time_to_limit_s(self, limit_n: float) -> float | None:

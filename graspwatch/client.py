@@ -18,7 +18,7 @@ from app.messages.grasps import Grasp, Identification
 from app.messages.journal import JournalEntry
 from app.messages.people import ControlInfo, ControlRequest, SessionInfo
 from app.messages.recordings import Recordings
-from app.messages.runs import Run, RunRequest, RunState, StopAnswer, StopRequest
+from app.messages.runs import Run, RunRequest, RunState, SpotRequest, StopAnswer, StopRequest
 from app.messages.system import Health, System
 from app.messages.tool import ArmRequest, LibraryInfo, ProtocolInfo, SafetyReport, ToolInfo
 from config.network import is_this_computer
@@ -132,6 +132,10 @@ class Graspwatch:
     async def stop(self) -> StopAnswer:
         """Bring the motor to zero at once, in every state."""
         return await self._rest_client.ask(StopAnswer, "POST", "/api/stop", StopRequest(by=self._by))
+
+    async def begin_spot(self) -> Run:
+        """Begin a new spot in the run under way: the next grasp is on another place. Refused without a run."""
+        return await self._rest_client.ask(Run, "POST", "/api/spots", SpotRequest(by=self._by))
 
     @contextlib.asynccontextmanager
     async def running(

@@ -27,7 +27,7 @@ TOOL_ATTACHMENT, LIBRARY_ATTACHMENT, SETTINGS_ATTACHMENT, PROTOCOL_ATTACHMENT, V
 RAW_TOPIC, CONDITIONED_TOPIC, ESTIMATES_TOPIC = "/raw", "/conditioned", "/estimates"
 
 # Not a function of the signals, so they are recorded.
-LIMITER_FLAGS = SampleFlag.LIMITED | SampleFlag.RELEASED
+LIMITER_FLAGS = SampleFlag.LIMITED | SampleFlag.RELEASED | SampleFlag.NEW_SPOT
 _RAW_FIELDS = {"limiter_flags": 7, "lost_samples": 8}  # beside the signals
 
 _TYPE_CODES = {signal.name: signal.dtype.replace("u2", "u4") for signal in SIGNALS} | dict.fromkeys(_RAW_FIELDS, "u4")

@@ -19,7 +19,7 @@ from app.recordings.estimate_comparison import EstimateComparator, EstimateCompa
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
 from app.recordings.mcap_writer import RecordingContext
 from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
-from estimator.estimate_block import GraspRecord
+from estimator.estimate_block import GraspRecord, SpotVerdict
 from estimator.online_estimator import TissueEstimator
 from estimator.worker import to_threshold_update
 
@@ -36,6 +36,7 @@ class RunSummary:
     samples: int = 0
     lost_samples: int = 0
     grasps: list[GraspRecord] = field(default_factory=list)
+    spots: tuple[SpotVerdict, ...] = ()
     releases: list[str] = field(default_factory=list)  # a message for each grasp that the limiter released
     force_scale: str = ""  # the tool's force scale in words
     failure: str | None = None  # why a run ended before its protocol did
@@ -51,6 +52,7 @@ class RunSummary:
             "library": self.library,
             "force_scale": self.force_scale,
             "grasps": [grasp.model_dump() for grasp in self.grasps],
+            "spots": [spot.model_dump() for spot in self.spots],
         }
         if self.releases:
             document["let_go"] = self.releases
@@ -115,10 +117,11 @@ def run_protocol(
             progress(report.samples / tool.board.sample_rate_hz)
         last = session.finish()
         if file:
-            file.add_interrupted_grasp(last)
+            file.add_interrupted_grasp(last, session.spots)
             file.end_run(RunState(ended[0].end), ended[0].why)
     if last:
         report.grasps.append(last)
+    report.spots = session.spots
     if ended[0].end is RunOutcome.FAILED:
         report.failure = f"The run was ended early with the motor at zero: {ended[0].why}."
     return report
@@ -150,6 +153,7 @@ def replay_recording(recording: RecordingSource, recording_context: RecordingCon
             comparing.compare(estimate.estimates)
     if last := session.finish():
         report.grasps.append(last)
+    report.spots = session.spots
     report.comparison = comparing.result if comparing else None
     report.advice = explain_missing_answers(tool, library, report.grasps)
     return report

@@ -18,6 +18,8 @@ def print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
     console = create_console()
     for document in documents:
         console.print(_build_table(document))
+        for spot in document["spots"]:
+            console.print(_describe_spot(spot), highlight=False)
         if advice := document.get("advice"):
             print_note(advice)
 
@@ -45,3 +47,15 @@ def _build_table(document: dict[str, Any]) -> Table:
             grasp["why_invalid"] or VERDICT_REMARKS.get(grasp["label"]) or likeliest,
         )
     return table
+
+
+def _describe_spot(spot: dict[str, Any]) -> str:
+    """Return one line: `Spot 1: liver 97%, from 3 grasps`."""
+    count = len(spot["grasps"])
+    said = spot["label"].replace("_", " ")
+    if spot["probability"] is not None:
+        said += f" {spot['probability']:.0%}"
+    elif count:
+        top, share = max(spot["probabilities"].items(), key=lambda each: each[1])
+        said += f", likeliest {top.replace('_', ' ')} {share:.0%}"
+    return f"Spot {spot['index']}: {said}, from {count} grasp{'' if count == 1 else 's'}"

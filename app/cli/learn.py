@@ -1,8 +1,8 @@
 """`graspwatch learn`: a tissue library from labeled recordings, and a report of how far it can be trusted."""
 
 import json
-from collections.abc import Sequence
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,7 +57,7 @@ def learn(
 
     files, settings = parse_labels(label), load_settings(config)
     check_tissue_names(files, "--label")
-    context, like = load_tool(tool) if tool else _find_recording_tool(files), load_library(base)
+    context, like = load_tool(tool) if tool else find_recording_tool(files), load_library(base)
     page, data = (out.with_name(f"{out.stem}-report.{kind}") for kind in ("html", "json"))
     check_writable(out)
 
@@ -66,13 +66,7 @@ def learn(
         load_training_set,
     )  # a slow import, made after the options are checked
     from estimator.learning.cross_validation import cross_validate
-    from estimator.learning.library_fit import fit_library
-    from estimator.learning.recorded_grasps import LabeledRecording, estimate_usual_peak_v, extract_loading_curves
-
-    def of(recordings: Sequence[LabeledRecording]) -> TissueLibrary:
-        peak_v = estimate_usual_peak_v(recordings)
-        curves = [extract_loading_curves(each, context, peak_v) for each in recordings]
-        return fit_library(curves, context, like, base, peak_v, name="validated", date=today)
+    from estimator.learning.library_fit import fit_library, fit_recordings
 
     today = date.today().isoformat()
     with ProgressBar("learning", 1.0) as progress:
@@ -82,7 +76,7 @@ def learn(
         )
         answers = cross_validate(
             found.recordings,
-            of,
+            partial(fit_recordings, tool=context, base=like, base_name=base, date=today),
             context,
             settings.identification,
             lambda share: progress(READING_SHARE + (1 - READING_SHARE) * share),
@@ -94,7 +88,7 @@ def learn(
     _print_result(study, library, found, out, page, data, as_json)
 
 
-def _find_recording_tool(files: dict[str, list[Path]]) -> Tool:
+def find_recording_tool(files: dict[str, list[Path]]) -> Tool:
     """Return the tool of the first MCAP file, or without one the default tool of LabVIEW logs."""
     from acquisition.recordings.mcap_reader import McapFile
     from acquisition.recordings.recording import is_mcap, read_recorded_tool

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from acquisition.recordings.file_names import RECORDING_SUFFIXES, remove_recording_suffix, to_printable
-from app.cli.console import create_console
+from app.cli.console import create_console, print_note
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels_of
 from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, write_output
 from config.errors import ConfigurationError
@@ -70,12 +70,18 @@ def report(
     data_path = page_path.with_suffix(".json")
     _check_output_paths(page_path, data_path)
 
+    from app.analysis.learning.grasp_reader import find_learned_files
     from app.analysis.report.page import render_report_page  # a slow import, made after the options are checked
     from app.analysis.report.report import analyze_recordings, read_common_configuration
 
     if library is None and config is None:
         profiles, settings = read_common_configuration(files) or (profiles, settings)
 
+    if known := find_learned_files(profiles, files):
+        print_note(
+            f"the library was learned from {', '.join(known)}, so its answers for them are better than for other "
+            "recordings. `graspwatch study spots` judges it on recordings that it was not learned from."
+        )
     with ProgressBar(page_path.name, 1.0) as progress:
         made = analyze_recordings(files, context, profiles, settings, labels, progress)
         text, document = (

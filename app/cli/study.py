@@ -3,6 +3,8 @@
 import json
 import time
 from collections.abc import Callable
+from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +13,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from app.cli.console import create_console, error_console
-from config.load import load_grasp_protocol, load_library
+from app.cli.console import create_console, error_console, print_note
+from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, LabelCommand, parse_labels_of
+from app.cli.options import ProgressBar
+from config.errors import ConfigurationError
+from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from estimator.studies.catalog import MAX_GRASPS, STUDIES, StudyDefinition
 
 if TYPE_CHECKING:
@@ -138,6 +143,82 @@ def _make_command(study: StudyDefinition) -> Callable[..., None]:
 
 for entry in STUDIES.values():
     app.command(entry.name, help=entry.title)(_make_command(entry))
+
+
+@app.command("spots", cls=LabelCommand)
+def spots(
+    label: Annotated[list[str], typer.Option("--label", metavar=LABEL_METAVAR, help=LABEL_HELP)],
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE...", help="Recordings; a label may name each by its name.")
+    ] = None,
+    tool: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="Tool file with the recordings' channels and calibration, as in learn."),
+    ] = None,
+    base: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Library that injury thresholds, mass and jaw area come from.")
+    ] = "porcine",
+    out: OutOption = DEFAULT_FOLDER,
+    as_json: JsonOption = False,
+) -> None:
+    """How right a learned library is on spots that it was not learned from: leave each recording out in turn.
+
+    Example: graspwatch study spots liver1.lvm.gz liver2.lvm.gz bladder1.lvm.gz --label liver=liver1,liver2
+    --label bladder=bladder1
+    """
+    from app.analysis.learning.spot_study import build_spot_study  # slow imports, made after the options are checked
+    from app.analysis.learning.training_set import load_training_set
+    from app.cli.learn import find_recording_tool
+    from estimator.learning.library_fit import fit_recordings
+    from estimator.learning.spot_validation import leave_recordings_out
+
+    files = _collect_labeled_files(label, recordings or [])
+    context, like, settings = (
+        load_tool(tool) if tool else find_recording_tool(files),
+        load_library(base),
+        load_settings(),
+    )
+    with ProgressBar("spots", 1.0) as progress:
+        found = load_training_set(files, context, like, settings, 0, lambda share: progress(0.3 * share))
+        today = date.today().isoformat()
+        own, strangers = leave_recordings_out(
+            found.recordings,
+            partial(fit_recordings, tool=context, base=like, base_name=base, date=today),
+            context,
+            settings.identification,
+            lambda share: progress(0.3 + 0.7 * share),
+        )
+    for remark in found.remarks:
+        print_note(remark)
+    if not own:
+        print_note(
+            "no tissue has two recordings, so nothing says how much spots differ. Record another spot of each tissue."
+        )
+    about = {"tool": context.name, "base": base, "recordings": str(len(found.recordings)), "date": today}
+    _print_study(build_spot_study(own, strangers, about), out, as_json)
+
+
+def _collect_labeled_files(labels: list[str], recordings: list[Path]) -> dict[str, list[Path]]:
+    """Return each tissue's recordings.
+
+    Raises:
+        ConfigurationError: a recording has no label, or two.
+    """
+    files: dict[str, list[Path]] = {}
+    labeled: dict[Path, str] = {}
+    for tissue, paths in parse_labels_of(labels, recordings):
+        for path in paths:
+            if labeled.setdefault(path, tissue) != tissue:
+                raise ConfigurationError(f"{path} has two labels, {labeled[path]} and {tissue}. Keep the right one.")
+            files.setdefault(tissue, []).append(path)
+    if bare := [str(path) for path in recordings if path not in labeled]:
+        raise ConfigurationError(f"No label says what {', '.join(bare)} held. Add --label TISSUE=FILE for each.")
+    if len(files) < 2:
+        raise ConfigurationError(
+            f"All recordings are of {next(iter(files))}, so there is nothing to tell apart. Add recordings of another "
+            "tissue."
+        )
+    return files
 
 
 def _run_study(

@@ -25,7 +25,7 @@ from app.messages.journal import JournalCheck, JournalEntry
 from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, FrameReceived, ReplayControl, ServerMessage
 from app.messages.people import ControlInfo, ControlRequest, SessionInfo, SignIn
 from app.messages.recordings import BinContent, FileRecord, Recordings
-from app.messages.runs import Run, RunRequest, StopAnswer, StopRequest
+from app.messages.runs import Run, RunRequest, SpotRequest, StopAnswer, StopRequest
 from app.messages.studies import Studies, StudyRequest, StudyRun
 from app.messages.system import Health, Problem, System
 from app.messages.tool import ArmRequest, LibraryInfo, ProtocolInfo, SafetyReport
@@ -59,6 +59,7 @@ SENT_BY_CLIENT: tuple[type[Request], ...] = (
     RunRequest,
     ArmRequest,
     StopRequest,
+    SpotRequest,
     FrameReceived,
     AcknowledgeRequest,
     ReplayControl,

@@ -55,6 +55,12 @@ class StopRequest(Request):
     by: PersonName | None = None
 
 
+class SpotRequest(Request):
+    """Begin a new spot. The body is optional."""
+
+    by: PersonName | None = None
+
+
 class StopAnswer(Message):
     """The effect of a stop."""
 

@@ -23,7 +23,7 @@ from app.stream.alarms import AlarmManager
 from app.stream.event_translator import EventTranslator
 from config.errors import RecordingError
 from config.schema import GraspProtocol
-from estimator.estimate_block import EstimateBlock, GraspRecord
+from estimator.estimate_block import EstimateBlock, GraspRecord, SpotVerdict
 
 FLUSH_SAMPLES = 1_000
 
@@ -135,11 +135,12 @@ class HeadlessRecorder:
         with self._explain_disk_errors():
             self._alarms.raise_latched("let-go", AlarmKind.FORCE, text, (self._started_ns + self._now_ns) / 1e6)
 
-    def add_interrupted_grasp(self, grasp: GraspRecord | None) -> None:
-        """Record the grasp that the run's end interrupted, if there is one."""
-        if grasp and self._last_estimate:
+    def add_interrupted_grasp(self, grasp: GraspRecord | None, spots: tuple[SpotVerdict, ...] = ()) -> None:
+        """Record the grasp that the run's end interrupted, if there is one, and the `spots` with it."""
+        if grasp and (last := self._last_estimate):
+            answer = last.identification.model_copy(update={"spots": spots})
             with self._explain_disk_errors():
-                self._translate(replace(self._last_estimate, ended=(grasp,), alarms=(), withdrawn=()))
+                self._translate(replace(last, identification=answer, ended=(grasp,), alarms=(), withdrawn=()))
 
     def end_run(self, state: RunState, why: str, ended_at: str | None = None) -> None:
         """Record the end of the run; `ended_at`, ISO 8601, is now by default."""

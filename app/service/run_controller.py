@@ -129,6 +129,20 @@ class RunController:
         self._publisher.publish_event(f"Stopped: the motor is at zero ({why})", JournalKind.RUN, by)
         return effect
 
+    async def begin_spot(self, by: str | None) -> Run:
+        """Begin a new spot in the run under way, and return the run.
+
+        Raises:
+            RefusedError: no run is under way.
+            ServiceError: the acquisition does not answer.
+        """
+        await self._commander.send(bus.BeginSpotCommand())
+        run = self._runs.current
+        if run is None:
+            raise RefusedError("The run has just ended. Each run begins a new spot.")
+        self._publisher.publish_event("A new spot begins", JournalKind.RUN, by, run)
+        return run
+
     async def halt(self) -> None:
         """Stop the run under way, and refuse every start from now on."""
         self._shutting_down = True

@@ -33,7 +33,7 @@ from app.service.watchdog import Watchdog
 from app.service.worker_monitor import WorkerMonitor
 from app.stream.descriptions import build_hello
 from config.service_plan import ServicePlan
-from estimator.decision import UNDECIDED, UNKNOWN
+from estimator.decision import NO_ANSWER, UNDECIDED, UNKNOWN
 
 MAX_INITIAL_GRASPS = 200  # finished grasps of the last run that a new viewer receives
 
@@ -51,7 +51,7 @@ class ToolService:
         self.journal, self.alarms = publisher.journal, publisher.alarms
         self.commander = commander = Commander(self._context, supervisor.endpoints.commands)
         self.tasks = tasks = TaskWatch(commander, self.alarms)
-        self._metrics = metrics = Metrics(supervisor.workers, (*plan.library.tissues, UNKNOWN, UNDECIDED))
+        self._metrics = metrics = Metrics(supervisor.workers, (*plan.library.tissues, UNKNOWN, UNDECIDED, NO_ANSWER))
         self.runs = runs = RunRegistry(plan)
         self.control_lease = lease = ControlLease(plan.settings.people.control_expires_s)
         self._checks = checks = ConditionChecks(plan, self.alarms)

@@ -87,4 +87,4 @@ class EventTranslator:
 
 
 def _change_key(message: Identification) -> tuple[object, ...]:
-    return message.label, message.in_grasp, message.in_contact, message.grasp, message.holding_back
+    return message.label, message.in_grasp, message.in_contact, message.grasp, message.holding_back, message.spots

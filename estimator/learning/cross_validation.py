@@ -12,12 +12,14 @@ import numpy as np
 
 from config.errors import ConfigurationError
 from config.schema import IdentificationSettings, TissueLibrary, Tool
-from estimator.decision import UNDECIDED, UNKNOWN, Decision
+from estimator.decision import NO_ANSWER, NOT_NAMED, UNKNOWN, Decision
 from estimator.learning.recorded_grasps import LabeledRecording, RecordedGrasp
 from estimator.loading.learned_evidence import LearnedEvidence, LearnedGrasp
+from estimator.spots import LearnedSpot
 
 STEP_SAMPLES = 5  # probabilities are updated after as many samples as in `TissueEstimator`
 FORCE_CHECKPOINTS = (0.1, 0.2, 0.3, 0.5, 0.75)  # shares of the usual peak force, while it rises
+TIME_CHECKPOINTS_S = (0.1, 0.15, 0.3)  # since the command left zero
 
 LibraryLearner = Callable[[Sequence[LabeledRecording]], TissueLibrary]
 Progress = Callable[[float], None]
@@ -36,6 +38,7 @@ class ValidationAnswer:
     probabilities: dict[str, float]
     truth_probabilities: tuple[float, ...]  # of the truth, at each of FORCE_CHECKPOINTS and at the end
     most_likely: tuple[str, ...]  # at the same moments
+    most_likely_in_time: tuple[str, ...]  # at TIME_CHECKPOINTS_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +97,7 @@ def cross_validate(
             library = learn(learnable)
         except (ValueError, ConfigurationError):
             continue  # too few recordings or grasps are left
-        asker = _FoldEvaluator(library, tool, settings)
+        asker = FoldEvaluator(library, tool, settings)
         for recording, truth, positions in fold.tests:
             answers += asker.evaluate(
                 fold.question, recording, truth if truth in library.tissues else UNKNOWN, positions
@@ -102,7 +105,9 @@ def cross_validate(
     return answers
 
 
-class _FoldEvaluator:
+class FoldEvaluator:
+    """Answers of a library for recordings that it was not learned from."""
+
     def __init__(self, library: TissueLibrary, tool: Tool, settings: IdentificationSettings) -> None:
         self._evidence, self._settings = LearnedEvidence(library, tool, settings), settings
         self._names = (*library.tissues, UNKNOWN)
@@ -112,13 +117,17 @@ class _FoldEvaluator:
     def evaluate(
         self, question: str, recording: LabeledRecording, truth: str, positions: frozenset[int]
     ) -> Iterator[ValidationAnswer]:
+        """Yield the answers for the grasps of a recording at these positions."""
         shut_deg = None
+        self.spot = LearnedSpot(self._evidence)
         for i, grasp in enumerate(recording.grasps):
             learned = self._evidence.start_grasp(shut_deg, first=i == 0)
             if i in positions and len(grasp.samples):
                 yield self._evaluate_grasp(question, recording, truth, grasp, learned)
             else:
-                learned.loading_curve.append(grasp.samples)
+                learned.process(grasp.samples)
+            if not grasp.find_fault() and len(grasp.samples):
+                self.spot.append(learned)
             found = learned.loading_curve.jaw_closure_deg
             if found is not None:
                 shut_deg = found
@@ -128,19 +137,26 @@ class _FoldEvaluator:
     ) -> ValidationAnswer:
         decision = Decision(self._names, self._settings, self._rate_hz)
         course: list[np.ndarray] = []
+        timed: list[np.ndarray] = []
         start = int(grasp.samples["tick"][0])
         probabilities = self._evidence.prior
         for begin in range(0, len(grasp.samples), STEP_SAMPLES):
             samples = grasp.samples[begin : begin + STEP_SAMPLES]
             probabilities = learned.process(samples)
-            decision.update(probabilities, int(samples["tick"][-1]))
+            decision.update(probabilities, int(samples["tick"][-1]), complete=learned.loading_curve.ended)
+            while (
+                len(timed) < len(TIME_CHECKPOINTS_S)
+                and begin + len(samples) >= self._rate_hz * TIME_CHECKPOINTS_S[len(timed)]
+            ):
+                timed.append(probabilities)
             while (
                 len(course) < len(FORCE_CHECKPOINTS)
                 and learned.loading_curve.peak_v >= FORCE_CHECKPOINTS[len(course)] * self._peak_v
             ):
                 course.append(probabilities)
+        timed += [probabilities] * (len(TIME_CHECKPOINTS_S) - len(timed))
         course += [probabilities] * (len(FORCE_CHECKPOINTS) + 1 - len(course))
-        label = UNDECIDED if grasp.find_fault() and decision.label != UNKNOWN else decision.label
+        label = NO_ANSWER if grasp.find_fault() else decision.label
         at = self._names.index(truth)
         return ValidationAnswer(
             question,
@@ -148,8 +164,9 @@ class _FoldEvaluator:
             grasp.index,
             truth,
             label,
-            None if label == UNDECIDED else (decision.decided_tick - start) / self._rate_hz,
+            None if label in NOT_NAMED else (decision.decided_tick - start) / self._rate_hz,
             dict(zip(self._names, map(float, probabilities), strict=True)),
             tuple(float(each[at]) for each in course),
             tuple(self._names[int(each.argmax())] for each in course),
+            tuple(self._names[int(each.argmax())] for each in timed),
         )

@@ -15,10 +15,15 @@ from config.schema import (
     TissueProfile,
     Tool,
 )
-from estimator.learning.recorded_grasps import LoadingCurves
-from estimator.learning.robust_covariance import robust_scatter, shrunk_scatter
-from estimator.loading.between_recordings import estimate_session_scale
-from estimator.loading.constants import BETWEEN_SD, FEATURES, PARAMETER_FLOOR_LOG_SD, WITHIN_FLOOR_SHARE
+from estimator.learning.recorded_grasps import (
+    LabeledRecording,
+    LoadingCurves,
+    estimate_usual_peak_v,
+    extract_loading_curves,
+)
+from estimator.loading.between_spots import estimate_spot_spread
+from estimator.loading.constants import BETWEEN_SD, FEATURES, PARAMETER_FLOOR_LOG_SD, PRIOR_UNKNOWN, WITHIN_FLOOR_SHARE
+from estimator.loading.robust_covariance import robust_scatter, shrunk_scatter
 
 SIGNIFICANT_DIGITS = 6
 
@@ -51,6 +56,7 @@ def fit_library(
     tissue = np.array([labels.index(each.recording.label) for each in curves])
     loading = robust_scatter([each.features for each in curves], WITHIN_FLOOR_SHARE * BETWEEN_SD**2)
     centre, ramp = np.array(loading[0]), np.array([each.ramp_log for each in curves])
+    spot_sd, pairs = estimate_spot_spread(tissue, ramp, centre)
     parameters = _fit_parameter_scatter(curves, labels)
     tissues = {}
     for i, label in enumerate(labels):
@@ -80,10 +86,21 @@ def fit_library(
             calibration=tool.calibration_fingerprint,
             features=FEATURES,
             usual_peak_v=peak_v,
-            session_scale=_round_significant(estimate_session_scale(tissue, ramp, centre)),
+            spot_sd=tuple(_round_significant(value) for value in spot_sd),
+            spot_pairs=pairs,
+            prior_unknown=PRIOR_UNKNOWN,
         ),
         tissues=tissues,
     )
+
+
+def fit_recordings(
+    recordings: Sequence[LabeledRecording], *, tool: Tool, base: TissueLibrary, base_name: str, date: str
+) -> TissueLibrary:
+    """Return the library learned from recordings alone, their usual peak included; raises as `fit_library`."""
+    peak_v = estimate_usual_peak_v(recordings)
+    curves = [extract_loading_curves(each, tool, peak_v) for each in recordings]
+    return fit_library(curves, tool, base, base_name, peak_v, name="validated", date=date)
 
 
 def find_base_tissue(label: str, base: TissueLibrary) -> str | None:

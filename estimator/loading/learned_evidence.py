@@ -5,17 +5,9 @@ import math
 import numpy as np
 
 from config.schema import IdentificationSettings, TissueLibrary, Tool
-from estimator.loading.between_recordings import RecordingCenters, between_covariance
-from estimator.loading.constants import (
-    DEGREES_OF_FREEDOM,
-    FIRST_GRASP_SCALE,
-    PREVIOUS_CLOSURE_MIXTURE,
-    UNKNOWN_DEGREES_OF_FREEDOM,
-    UNKNOWN_SCALE,
-)
+from estimator.loading.between_spots import SpotCenters, SpotPrediction, correlate_features
+from estimator.loading.constants import BETWEEN_SD, FIRST_GRASP_SCALE, PREVIOUS_CLOSURE_MIXTURE
 from estimator.loading.loading_curve import LoadingCurve, ObservedFeatures
-
-Gaussian = tuple[np.ndarray, np.ndarray]  # mean (F,), covariance (F, F)
 
 
 class LearnedEvidence:
@@ -26,18 +18,20 @@ class LearnedEvidence:
         if learned is None:
             raise ValueError("the library was not learned")
         rows = [(i, r) for i, t in enumerate(library.tissues.values()) if t.learned for r in t.learned.recordings]
-        self._centers = RecordingCenters(
+        self._centers = SpotCenters(
             tissue_indices=np.array([i for i, _ in rows]),
             log_ramps=np.log([r.ramp_v_per_s for _, r in rows]),
             centers=np.array([r.centre for _, r in rows]),
-            session_scale=learned.session_scale,
+            spot_sd=np.array(learned.spot_sd),
+            pairs=learned.spot_pairs,
         )
-        self._within_covariances = [
+        self._grasp_covariances = [
             np.array(t.learned.loading_covariance) for t in library.tissues.values() if t.learned
         ]
-        self._between_covariance = between_covariance()
-        known = (1.0 - settings.prior_unknown) / len(self._within_covariances)
-        self._log_prior = np.log([known] * len(self._within_covariances) + [settings.prior_unknown])
+        self._first_grasp_covariance = FIRST_GRASP_SCALE**2 * correlate_features(BETWEEN_SD)
+        unknown = max(settings.prior_unknown, learned.prior_unknown)
+        known = (1.0 - unknown) / len(self._grasp_covariances)
+        self._log_prior = np.log([known] * len(self._grasp_covariances) + [unknown])
         self._peak_v = learned.usual_peak_v
         self._stretch_deg_per_volt = tool.calibration.encoder_deg_per_volt
         self._dt_s = 1.0 / tool.board.sample_rate_hz
@@ -46,7 +40,7 @@ class LearnedEvidence:
         """Return the estimator of a new grasp.
 
         `previous_closure_deg` is the jaw closure angle of the previous grasp, None if not known; `first` marks the
-        source's first grasp.
+        first grasp on a spot.
         """
         loading = LoadingCurve(self._stretch_deg_per_volt, self._peak_v, self._dt_s, previous_closure_deg, first=first)
         return LearnedGrasp(self, loading, first=first)
@@ -56,21 +50,30 @@ class LearnedEvidence:
         """Prior probabilities, (M + 1,)."""
         return np.exp(self._log_prior)
 
-    def predict_features(self, ramp_log: float, *, first: bool) -> list[Gaussian]:
-        """Return the distribution of a grasp's features at a ramp for each tissue and for `unknown`."""
-        tissues = []
-        for i, within in enumerate(self._within_covariances):
-            centre, variance = self._centers.predict_center(i, ramp_log)
-            variance += FIRST_GRASP_SCALE**2 if first else 0.0
-            tissues.append((centre, within + variance * self._between_covariance))
-        centres = np.array([centre for centre, _ in tissues])
-        middle = centres.mean(axis=0)
-        apart = (centres - middle).T @ (centres - middle) / max(len(centres) - 1, 1)
-        spread = apart + np.mean([cov for _, cov in tissues], axis=0)
-        return [*tissues, (middle, UNKNOWN_SCALE**2 * spread)]
+    @property
+    def grasp_covariance(self) -> np.ndarray:
+        """Mean covariance (F, F) of grasps on one spot, over the tissues."""
+        return np.mean(self._grasp_covariances, axis=0)
 
-    def compute_posterior(self, observed: ObservedFeatures, predictions: list[Gaussian]) -> np.ndarray:
-        """Return posterior probabilities, (M + 1,), from the features observed so far."""
+    def predict_features(self, ramp_log: float, *, first: bool) -> list[SpotPrediction]:
+        """Return the distribution of the features on a new spot at a ramp, for each tissue and for `unknown`."""
+        freedom, first_grasp = self._centers.degrees_of_freedom, self._first_grasp_covariance if first else 0.0
+        centers = [self._centers.predict_center(i, ramp_log) for i in range(len(self._grasp_covariances))]
+        tissues = [
+            SpotPrediction(mean, cov + first_grasp, within, freedom)
+            for (mean, cov), within in zip(centers, self._grasp_covariances, strict=True)
+        ]
+        mean, cov, freedom = self._centers.predict_other_tissue(np.array([mean for mean, _ in centers]))
+        return [*tissues, SpotPrediction(mean, cov + first_grasp, self.grasp_covariance, freedom)]
+
+    def compute_posterior(
+        self, observed: ObservedFeatures, predictions: list[SpotPrediction], grasps: float = 1.0
+    ) -> np.ndarray:
+        """Return posterior probabilities, (M + 1,), from the features observed so far.
+
+        With `grasps` greater than 1, the features are the mean of as many grasps on one spot. The scatter of grasps
+        falls with their number, the deviation of the spot does not.
+        """
         told = np.flatnonzero(np.isfinite(observed.features))
         if not len(told):
             return self.prior
@@ -78,11 +81,11 @@ class LearnedEvidence:
         doubts = [(math.log(share), sd_deg**2 * np.outer(slope, slope)) for share, sd_deg in PREVIOUS_CLOSURE_MIXTURE]
         doubts = doubts if slope.any() else [(0.0, 0.0)]
         log_weight = self._log_prior.copy()
-        for i, (mean, cov) in enumerate(predictions):
-            freedom = UNKNOWN_DEGREES_OF_FREEDOM if i == len(predictions) - 1 else DEGREES_OF_FREEDOM
-            off, own = observed.features[told] - mean[told], cov[np.ix_(told, told)]
+        for i, each in enumerate(predictions):
+            off = observed.features[told] - each.mean[told]
+            own = (each.spot_covariance + each.grasp_covariance / grasps)[np.ix_(told, told)]
             log_weight[i] += np.logaddexp.reduce(
-                [s + compute_student_log_density(off, own + doubt, freedom) for s, doubt in doubts]
+                [s + compute_student_log_density(off, own + doubt, each.degrees_of_freedom) for s, doubt in doubts]
             )
         weight = np.exp(log_weight - log_weight.max())
         return weight / weight.sum()
@@ -92,11 +95,21 @@ class LearnedGrasp:
     """The current grasp: its loading curve and probabilities."""
 
     def __init__(self, evidence: LearnedEvidence, loading: LoadingCurve, *, first: bool) -> None:
-        self._evidence, self.loading_curve, self._first = evidence, loading, first
-        self._predictions: list[Gaussian] = []
+        self._evidence, self.loading_curve, self.is_first = evidence, loading, first
+        self._predictions: list[SpotPrediction] = []
         self._predicted_ramp_log = math.nan
         self._probabilities: np.ndarray | None = None
         self._last_features = b""
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Probabilities before the grasp, (M + 1,)."""
+        return self._evidence.prior
+
+    @property
+    def probabilities(self) -> np.ndarray:
+        """Probabilities so far, (M + 1,)."""
+        return self.prior if self._probabilities is None else self._probabilities
 
     def process(self, samples: np.ndarray) -> np.ndarray:
         """Append samples of dtype SAMPLE and return the probabilities, (M + 1,)."""
@@ -114,7 +127,7 @@ class LearnedGrasp:
         self._last_features = what
         if seen.ramp_log != self._predicted_ramp_log:
             self._predictions, self._predicted_ramp_log = (
-                self._evidence.predict_features(seen.ramp_log, first=self._first),
+                self._evidence.predict_features(seen.ramp_log, first=self.is_first),
                 seen.ramp_log,
             )
         self._probabilities = self._evidence.compute_posterior(seen, self._predictions)

@@ -9,7 +9,7 @@ from acquisition.sample_block import SampleBlock
 from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
 from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
-from estimator.decision import UNDECIDED
+from estimator.decision import NOT_NAMED
 from estimator.estimate_block import GraspRecord
 from estimator.online_estimator import TissueEstimator
 from estimator.studies.simulated_grasps import GraspCase, SimulatedGrasp, simulate_grasp, with_noise, without_touch
@@ -87,7 +87,7 @@ def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistor
         if found.in_grasp and found.in_contact:
             rows.append(np.fromiter(found.probabilities.values(), float))
             ticks.append(found.tick)
-        if found.label not in (UNDECIDED, *labels[-1:]):
+        if found.label not in (*NOT_NAMED, *labels[-1:]):
             labels.append(found.label)
         record = block.ended[0] if block.ended else record
     record = record or session.finish()

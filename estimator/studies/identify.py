@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from acquisition.sample_block import SampleFlag
 from config.schema import TissueLibrary
 from estimator.baselines.paper_filter import PaperIdentifier
-from estimator.decision import UNDECIDED, UNKNOWN
+from estimator.decision import NOT_NAMED, UNKNOWN
 from estimator.filter_bank import (
     ContactStart,
     FilterBank,
@@ -176,7 +176,7 @@ def _build_floor_figures(bench: StudyConditions, ours: dict, limit: float, count
 def _build_decision_figures(outcomes: list[_IdentifyOutcome]) -> list[KeyFigure]:
     records = [outcome.course.record for outcome in outcomes]
     decided = [record.time_to_decision_s for record in records if record.time_to_decision_s is not None]
-    wrong = sum(r.label not in (UNDECIDED, o.course.case.tissue) for r, o in zip(records, outcomes, strict=True))
+    wrong = sum(r.label not in (*NOT_NAMED, o.course.case.tissue) for r, o in zip(records, outcomes, strict=True))
     withdrawn = sum(any(label not in (o.course.record.label,) for label in o.course.labels) for o in outcomes)
     return [
         KeyFigure(

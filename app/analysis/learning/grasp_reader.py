@@ -1,7 +1,7 @@
 """Reads labeled recordings for `graspwatch learn`, grasp by grasp."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from acquisition.recordings.mcap_reader import McapFile
 from acquisition.recordings.recording import RecordingSource, is_mcap
 from acquisition.sample_block import SAMPLE_DTYPE, SampleFlag
 from config.errors import RecordingError
-from config.schema import Settings, Tool
+from config.schema import Settings, TissueLibrary, Tool
 from estimator.learning.parameter_fit import fit_parameters, measure_thickness_m
 from estimator.learning.recorded_grasps import LabeledRecording, RecordedGrasp
 
@@ -33,6 +33,16 @@ def recording_sha256(path: Path) -> str:
         raise RecordingError(f"{path}: there is no such file. Check the path.") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror}).") from None
+
+
+def find_learned_files(library: TissueLibrary, files: Sequence[Path]) -> list[str]:
+    """Return the names of those files that the library was learned from, by their content.
+
+    Raises:
+        RecordingError: a file is missing or cannot be read.
+    """
+    learned = {r.sha256 for t in library.tissues.values() if t.learned for r in t.learned.recordings}
+    return [path.name for path in files if recording_sha256(path) in learned] if learned else []
 
 
 def read_grasps(

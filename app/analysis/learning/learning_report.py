@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from config.schema import TissueLibrary
-from estimator.decision import UNDECIDED, UNKNOWN
+from estimator.decision import NO_ANSWER, NOT_NAMED, UNDECIDED, UNKNOWN
 from estimator.learning.cross_validation import FORCE_CHECKPOINTS, ValidationAnswer
 from estimator.loading.constants import FEATURES
 from estimator.studies.probability_scores import compute_reliability, score_answers
@@ -49,7 +49,7 @@ def _add_figures(study: StudyResult, question: str, answers: list[ValidationAnsw
     table = np.array([[each.probabilities.get(name, 0.0) for name in names] for each in answers])
     truth = np.array([names.index(each.truth) if each.truth in names else names.index(UNKNOWN) for each in answers])
     found = score_answers(table, truth)
-    named = [each for each in answers if each.label != UNDECIDED]
+    named = [each for each in answers if each.label not in NOT_NAMED]
     wrong = sum(each.label != each.truth for each in named)
     decided = [each.decided_s for each in named if each.decided_s is not None]
     study.figures += [
@@ -86,7 +86,7 @@ def _build_excluded_grasps_table(library: TissueLibrary) -> Table:
 
 def _build_confusion_table(question: str, answers: list[ValidationAnswer]) -> Table:
     names = sorted({each.truth for each in answers} | {name for each in answers for name in each.probabilities})
-    names = [*(name for name in names if name != UNKNOWN), UNKNOWN, UNDECIDED]
+    names = [*(name for name in names if name != UNKNOWN), UNKNOWN, UNDECIDED, NO_ANSWER]
     rows = []
     for truth in sorted({each.truth for each in answers}):
         own = [each.label for each in answers if each.truth == truth]

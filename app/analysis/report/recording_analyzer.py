@@ -13,7 +13,7 @@ from acquisition.recordings.file_names import to_printable
 from acquisition.recordings.recording import RecordingSource
 from acquisition.sample_block import SampleBlock
 from config.schema import Settings, TissueLibrary, Tool
-from estimator.estimate_block import EstimateBlock, GraspRecord, LabelWithdrawal, finite_or_none
+from estimator.estimate_block import EstimateBlock, GraspRecord, LabelWithdrawal, SpotVerdict, finite_or_none
 from estimator.force_alarms import ForceAlarm
 from estimator.online_estimator import TissueEstimator
 
@@ -65,6 +65,7 @@ class AnalyzedRecording:
     lost_samples: int = 0
     tissue: str | None = None  # held, if the recording states it
     facts: dict[str, Any] = field(default_factory=dict)
+    spots: tuple[SpotVerdict, ...] = ()
 
     @property
     def rate_hz(self) -> float:
@@ -208,4 +209,5 @@ class RecordingAnalyzer:
             self._lost_samples,
             tissue,
             facts or {},
+            spots=self._session.spots,
         )

@@ -107,6 +107,7 @@ class Report:
             "duration_s": recording.duration_s,
             "held": self.labels.get(recording.title) or recording.tissue,
             "advice": explain_missing_answers(recording.tool, recording.library, recording.grasps),
+            "spots": [spot.model_dump() for spot in recording.spots],
             "grasps": [
                 {
                     **to_json_value(record.model_dump()),

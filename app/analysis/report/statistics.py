@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import tukey_hsd
 
-from estimator.decision import UNDECIDED, UNKNOWN
+from estimator.decision import NOT_NAMED, UNKNOWN
 from estimator.estimate_block import GraspRecord
 
 SIGNIFICANCE_LEVEL = 0.05  # the paper's p
@@ -85,7 +85,7 @@ class Observation:
             return f"invalid: {self.record.why_invalid or 'not said why'}"
         if self.parameters is None:
             return "no filter had an estimate at its end"
-        if self.group == UNDECIDED:
+        if self.group in NOT_NAMED:
             return "no tissue was named, and none is told"
         return None
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from config.schema import TissueLibrary
-from estimator.decision import UNDECIDED, UNKNOWN
+from estimator.decision import NO_ANSWER, UNDECIDED, UNKNOWN
 from estimator.force_alarms import Priority
 
 # Okabe and Ito's palette in the dashboard's order, each with the color of text on it
@@ -32,9 +32,9 @@ class TissueStyle:
 
 
 def build_tissue_styles(library: TissueLibrary, groups: tuple[str, ...] = ()) -> dict[str, TissueStyle]:
-    """Build styles for the library's tissues, *unknown*, *undecided*, and other groups that a report names."""
+    """Build styles for the tissues, *unknown*, *undecided*, *no answer*, and other groups that a report names."""
     titles = {name: profile.title for name, profile in library.tissues.items()}
-    others = [name for name in groups if name not in (*titles, UNKNOWN, UNDECIDED)]
+    others = [name for name in groups if name not in (*titles, UNKNOWN, UNDECIDED, NO_ANSWER)]
     titles |= {name: name.replace("_", " ").capitalize() for name in others}
     looks = {
         name: TissueStyle(
@@ -44,6 +44,7 @@ def build_tissue_styles(library: TissueLibrary, groups: tuple[str, ...] = ()) ->
     }
     looks[UNKNOWN] = TissueStyle(UNKNOWN, "Unknown", "?", *UNKNOWN_COLORS)
     looks[UNDECIDED] = TissueStyle(UNDECIDED, "Undecided", "–", *UNDECIDED_COLORS)
+    looks[NO_ANSWER] = TissueStyle(NO_ANSWER, "No answer", "×", *UNDECIDED_COLORS)
     return looks
 
 

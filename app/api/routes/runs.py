@@ -21,7 +21,7 @@ from app.index.queries import RunQuery
 from app.messages.grasps import Grasp
 from app.messages.live import Phase
 from app.messages.people import Role
-from app.messages.runs import Run, RunRequest, StopAnswer, StopRequest
+from app.messages.runs import Run, RunRequest, SpotRequest, StopAnswer, StopRequest
 from app.messages.tool import ArmRequest, SafetyReport
 from app.people.authorization import get_user, requester_name, require_role
 from app.service.runs import RunUnderWayError
@@ -168,6 +168,25 @@ async def disarm_tool(request: Request, tool_service: ToolServiceDep, body: ArmR
     acquire_control(request, tool_service)
     await tool_service.arming.disarm(requester_name(request, body.by if body else None))
     return SafetyReport(safety=Safety.DISARMED)
+
+
+@router.post(
+    "/spots",
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={
+        409: {"description": "No run is under way, or somebody else has control", **PROBLEM_RESPONSE},
+        503: {"description": "The tool does not answer", **PROBLEM_RESPONSE},
+    },
+)
+async def begin_spot(request: Request, tool_service: ToolServiceDep, body: SpotRequest | None = None) -> Run:
+    """Begin a new spot: the next grasp is on another place. A grasp under way belongs to the spot before."""
+    note_request(request, description="Begin a new spot")
+    check_has_tool(tool_service)
+    acquire_control(request, tool_service)
+    try:
+        return await tool_service.run_controller.begin_spot(requester_name(request, body.by if body else None))
+    except ServiceError as error:
+        raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
 
 
 def check_has_tool(tool_service: ToolService) -> None:

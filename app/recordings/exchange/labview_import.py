@@ -81,7 +81,7 @@ def import_labview(
             file.append(block, estimate)
         if last := session.finish():
             grasps.append(last)
-        file.add_interrupted_grasp(last)
+        file.add_interrupted_grasp(last, session.spots)
         file.run = file.run.model_copy(update={"cycles": max(file.run.grasps, 1)})
         file.end_run(RunState.FINISHED, f"imported from {to_printable(source.name)}", ended_at)
     advice = explain_missing_answers(recording_context.tool, recording_context.library, grasps)

@@ -1,6 +1,6 @@
 import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { count, inOneLine } from "../format";
-import { arm, disarm, getProtocols, messageOf, startRun } from "../live/rest";
+import { arm, beginSpot, disarm, getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
 import type { Person } from "../shell/person";
 import type { Hello, Phase, ProtocolInfo, Run, RunRequest, Safety, State } from "../wire";
@@ -95,6 +95,16 @@ export class ProtocolPanel {
 
   submitByKey(): void {
     find(this.root, "run-form", HTMLFormElement).requestSubmit();
+  }
+
+  /** Begins a new spot in the run under way. */
+  async beginSpot(): Promise<void> {
+    if (!this.person.may("operator")) return;
+    try {
+      await beginSpot(this.person.name);
+    } catch (error) {
+      this.showMessage(`No new spot: ${messageOf(error)}`, "failed");
+    }
   }
 
   /** Clears the message about the last start. */

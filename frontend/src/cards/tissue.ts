@@ -28,7 +28,19 @@ export class TissueCard {
     if (hello && this.barsFor !== hello.library.tissues) this.buildBars(hello);
     if (!identification || identification.grasp === 0) this.renderNothingHeld();
     else this.renderAnswer(identification, nowMs);
+    setText(find(this.root, "tissue-spot"), identification ? this.spotText(identification) : "");
     this.renderBars(identification);
+  }
+
+  private spotText({ spots }: Identification): string {
+    const spot = spots.at(-1);
+    if (!spot) return "";
+    const count = spot.grasps.length;
+    const from = `from ${count} ${count === 1 ? "grasp" : "grasps"}`;
+    if (count === 0) return spot.label === "no_answer" ? `Spot ${spot.index}: no answer` : `Spot ${spot.index}: new`;
+    if (spot.label !== "undecided") return `Spot ${spot.index}: ${this.model.titleOf(spot.label)} ${percent(spot.probability)}, ${from}`;
+    const [likeliest] = Object.entries(spot.probabilities).toSorted(([, a], [, b]) => b - a);
+    return likeliest ? `Spot ${spot.index}: likeliest ${this.model.titleOf(likeliest[0])}, ${percent(likeliest[1])}, ${from}` : "";
   }
 
   private renderNothingHeld(): void {
@@ -51,13 +63,14 @@ export class TissueCard {
 
   private renderAnswer(held: Identification, nowMs: number): void {
     const past = !held.in_grasp;
-    setData(this.card, "answer", held.label === "undecided" ? "undecided" : "named");
-    setData(this.card, "slot", held.label === "undecided" ? "" : this.slotOf(held.label));
+    const isNamed = held.label !== "undecided" && held.label !== "no_answer";
+    setData(this.card, "answer", isNamed ? "named" : "undecided");
+    setData(this.card, "slot", !isNamed ? "" : this.slotOf(held.label));
     setData(this.card, "past", String(past));
     setText(find(this.root, "tissue-when"), past ? `Last grasp${this.sinceEnd(nowMs)}` : `${this.holding(nowMs)} · grasp ${held.grasp}`);
-    setText(find(this.root, "tissue-mark"), held.label === "undecided" ? "…" : this.markOf(held.label));
+    setText(find(this.root, "tissue-mark"), isNamed ? this.markOf(held.label) : held.label === "undecided" ? "…" : "×");
     setText(find(this.root, "tissue-label"), this.model.titleOf(held.label));
-    setText(find(this.root, "tissue-probability"), held.label === "undecided" ? "" : percent(held.probability));
+    setText(find(this.root, "tissue-probability"), !isNamed ? "" : percent(held.probability));
     setText(find(this.root, "tissue-facts"), this.facts(held));
     if (!this.model.isReplay) setText(find(document, "label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
   }
@@ -74,6 +87,7 @@ export class TissueCard {
 
   private facts(held: Identification): string {
     if (held.in_grasp && !held.in_contact) return "closing, no contact yet";
+    if (held.label === "no_answer") return "a sensor failed during this grasp";
     if (held.label === "undecided") return this.undecidedFacts(held);
     const after = held.time_to_decision_s === null ? "" : `decided ${shortTime(held.time_to_decision_s)} after contact`;
     return [held.label === "unknown" ? "nothing of the library" : "", after].filter(Boolean).join(" · ");

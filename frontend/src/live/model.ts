@@ -79,6 +79,7 @@ export class Model {
   titleOf(label: string): string {
     if (label === "unknown") return "Unknown";
     if (label === "undecided") return "Undecided";
+    if (label === "no_answer") return "No answer";
     return this.tissues.find((tissue) => tissue.name === label)?.title ?? label;
   }
 

@@ -13,6 +13,7 @@ import type {
   SessionInfo,
   SignIn,
   StopAnswer,
+  SpotRequest,
   StopRequest,
 } from "../wire";
 
@@ -59,6 +60,8 @@ export const sendStop = (by: string | null): Promise<StopAnswer> => {
   const request: StopRequest = { by };
   return fetchJson("POST", "/api/stop", STOP_TIMEOUT_MS, request);
 };
+
+export const beginSpot = (by: string | null): Promise<Run> => postJson("/api/spots", { by } satisfies SpotRequest);
 
 export const acknowledgeAlarm = (id: string, priority: Priority, by: string): Promise<Alarm> => {
   const request: AcknowledgeRequest = { by, priority };

@@ -47,7 +47,7 @@ export class WatchPage implements Page {
     this.criteria = new CriteriaTable(root, model);
     this.grasps = new GraspsTable(root, model);
     this.protocol = new ProtocolPanel(root, model, person);
-    this.keys = [...chartKeys(this.charts), ...(model.isReplay ? [] : [startKey(this.protocol)])];
+    this.keys = [...chartKeys(this.charts), ...(model.isReplay ? [] : [startKey(this.protocol), spotKey(this.protocol)])];
     if (!model.isReplay) void this.protocol.load();
   }
 
@@ -87,6 +87,13 @@ const startKey = (protocol: ProtocolPanel): KeyAction => ({
   label: "Shift + S",
   description: "Start the chosen protocol",
   run: () => protocol.submitByKey(),
+});
+
+const spotKey = (protocol: ProtocolPanel): KeyAction => ({
+  key: "n",
+  label: "N",
+  description: "Begin a new spot; a grasp under way belongs to the spot before",
+  run: () => void protocol.beginSpot(),
 });
 
 const chartKeys = (charts: ChartStack): KeyAction[] => [

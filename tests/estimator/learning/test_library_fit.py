@@ -59,7 +59,7 @@ def test_probabilities_sum_to_one_and_begin_at_the_prior():
     evidence = LearnedEvidence(library, TOOL, SETTINGS.identification)
     start = evidence.start_grasp(None, first=False).process(RECORDINGS[0].grasps[1].samples[:3])
     assert start == pytest.approx(evidence.prior)
-    assert start[-1] == pytest.approx(SETTINGS.identification.prior_unknown)
+    assert start[-1] == pytest.approx(library.learned.prior_unknown)
 
 
 def test_the_order_of_recordings_does_not_matter():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.learning.robust_covariance import robust_scatter, shrunk_scatter
+from estimator.loading.robust_covariance import robust_scatter, shrunk_scatter
 
 FLOOR = np.full(3, 1e-3)
 

@@ -46,6 +46,21 @@ def robust_scatter(
     return centres, weights, cov
 
 
+def compute_robust_mean(rows: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the mean (p,) of rows (n, p) that scatter with `covariance` (p, p), and how many rows it is worth.
+
+    Outlying rows count less, with the weights of `robust_scatter`.
+    """
+    information, mean = np.linalg.inv(covariance), np.median(rows, axis=0)
+    weight = np.ones(len(rows))
+    for _ in range(ITERATIONS):
+        off = rows - mean
+        distance = np.einsum("ij,jk,ik->i", off, information, off)
+        weight = (ROBUST_DEGREES_OF_FREEDOM + rows.shape[1]) / (ROBUST_DEGREES_OF_FREEDOM + distance)
+        mean = weight @ rows / weight.sum()
+    return mean, float(weight.sum() ** 2 / (weight**2).sum())
+
+
 def shrunk_scatter(
     groups: Sequence[np.ndarray], centres: Sequence[np.ndarray], weights: Sequence[np.ndarray], pooled: np.ndarray
 ) -> np.ndarray:
