@@ -98,6 +98,7 @@ export const identification = (values: Partial<Identification> = {}): Identifica
   thickness_m: null,
   convergence_s: {},
   force_error_n: {},
+  spots: [],
   ...values,
 });
 
