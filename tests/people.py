@@ -45,6 +45,7 @@ RIGHTS: dict[tuple[str, str], Role | None] = {
     ("POST", "/api/calibration/reading"): Role.OPERATOR,
     ("DELETE", "/api/calibration"): Role.OPERATOR,
     ("POST", "/api/disarm"): Role.OPERATOR,
+    ("POST", "/api/spots"): Role.OPERATOR,
     ("GET", "/api/audit/check"): Role.VIEWER,
     ("GET", "/api/audit/export"): Role.ADMIN,
     ("POST", "/api/stop"): Role.VIEWER,

@@ -18,7 +18,7 @@ from app.messages.recordings import (
     Recordings,
     ReportProgress,
 )
-from app.messages.runs import Run, RunRequest, RunState, StopAnswer, StopRequest
+from app.messages.runs import Run, RunRequest, RunState, SpotRequest, StopAnswer, StopRequest
 from app.messages.studies import Studies, StudyInfo, StudyRequest, StudyRun, StudyState
 from app.messages.system import Health, Problem, System
 from app.messages.tool import (
@@ -129,6 +129,7 @@ EXAMPLES: dict[str, BaseModel] = {
         RunRequest(protocol="trapezoid_2hz", cycles=3, tissue="liver", by="Ada"),
         ArmRequest(by="Ada"),
         StopRequest(by="Ada"),
+        SpotRequest(by="Ada"),
         AcknowledgeRequest(by="Ada", priority=Priority.MEDIUM),
         CalibrationRequest(what=CalibrationKind.STRAIN, values=[0.0, 5.0, 10.0], person="Ada"),
         ControlRequest(take_over=True),

@@ -57,7 +57,8 @@ def read_files(send: SendMessage, files: list[_CatalogFile], tool: Tool) -> None
         try:
             send((file, _read_file(file.path, tool)))
         except RecordingError as error:
-            send((file, _FileSummary(problem=str(error).replace(str(file.path), file.path.name))))
+            problem = str(error).replace(str(file.path), file.path.name)
+            send((file, _FileSummary(problem=problem, is_complete=False)))
 
 
 def _read_file(path: Path, tool: Tool) -> _FileSummary:

@@ -124,6 +124,7 @@ def test_every_worker_and_label_has_its_series_before_its_first_event(service: S
     assert set(re.findall(r'^graspwatch_grasps_total\{label="(\w+)"\}', text, re.M)) == tissues | {
         "unknown",
         "undecided",
+        "no_answer",
     }
 
 
