@@ -27,11 +27,11 @@ test: $(VENV)/.installed app/static/index.html ## the whole test suite
 	@# compiled once here, not by each test that starts the program
 	$(BIN)/python -m compileall -q app acquisition estimator config graspwatch
 	$(BIN)/graspwatch run trapezoid_2hz --tissue liver --cycles 1 >/dev/null
-	$(BIN)/python -m pytest -m "not long and not alone" -n 2 --dist loadgroup
+	$(BIN)/python -m pytest -m "not long and not alone" -n 2 --dist loadfile --max-worker-restart 0
 	$(BIN)/python -m pytest -m "alone and not long" -n 1
 
 quick: $(VENV)/.installed ## what needs neither a service nor a browser; for another Python: make quick PYTHON=python3.13 VENV=.venv-3.13
-	$(BIN)/python -m pytest -m "not long and not alone" -n 2 --dist loadgroup $(QUICK)
+	$(BIN)/python -m pytest -m "not long and not alone" -n 2 --dist loadfile --max-worker-restart 0 $(QUICK)
 
 long: $(VENV)/.installed app/static/index.html ## the tests that `make test` leaves out, a quarter of an hour
 	$(BIN)/python -m pytest -m long tests

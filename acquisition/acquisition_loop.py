@@ -1,7 +1,9 @@
-"""The acquisition's loop body: read a block, condition it, check sensors and force, set the next motor command."""
+"""The class AcquisitionController: reads a block, conditions it, checks sensors and force, sets the motor command."""
 
 import math
 from dataclasses import replace
+
+import numpy as np
 
 from acquisition.drivers.command_history import CommandBounds, CommandHistory
 from acquisition.drivers.source import SampleSource
@@ -14,7 +16,7 @@ from acquisition.safety.force_limiter import (
     find_stop_reason,
 )
 from acquisition.safety.self_test import SelfTest
-from acquisition.safety.sensor_watch import SensorMonitor
+from acquisition.safety.sensor_monitor import SensorMonitor
 from acquisition.safety_state_machine import (
     MONITORED_STATES,
     MOTOR_ACTIVE_STATES,
@@ -23,7 +25,7 @@ from acquisition.safety_state_machine import (
     SafetyEvent,
     next_state,
 )
-from acquisition.sample_block import SampleBlock, SampleFlag
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
 from acquisition.signals.pipeline import ConditioningPipeline
 from config.errors import RefusedError
 from config.schema import ConditioningSettings, GraspProtocol, Tool
@@ -64,7 +66,7 @@ class AcquisitionController:
         """`limiter` limits the force of a run; a recording has no motor and needs none.
 
         `safety` and `why` are the initial state and its reason: a fault outlives the process in which it occurred. A
-        simulated tool in virtual time may begin armed.
+        simulated tool in virtual time may begin armed, and a tool without a motor always does.
         """
         self._source = source
         self._tool = tool
@@ -72,6 +74,8 @@ class AcquisitionController:
         self._sensor_monitor = SensorMonitor(tool)
         self._self_test = SelfTest(tool)
         self.safety, self.why = safety, why
+        if not tool.has_motor:
+            self.safety, self.why = Safety.ARMED, ""
         self._player: ProtocolPlayer | None = None
         self._run_id = ""
         self._ended_runs: list[RunEnded] = []
@@ -92,6 +96,11 @@ class AcquisitionController:
     @property
     def running(self) -> bool:
         return self._player is not None
+
+    @property
+    def _is_monitored(self) -> bool:
+        """Whether a doubtful sensor ends the run; without a motor nothing needs to be ended."""
+        return self._tool.has_motor and self.safety in MONITORED_STATES
 
     def arm(self, unmeasured_scale_reason: str = "") -> None:
         """Begin the self-test and a new tare; an armed tool stays armed.
@@ -163,7 +172,8 @@ class AcquisitionController:
     def fail(self, why: str) -> None:
         """Set the motor to zero at once and latch this fault until a person acknowledges it."""
         self._end_run(SafetyEvent.FAULT, RunOutcome.FAILED, why)
-        self.why = why
+        if self._tool.has_motor:
+            self.why = why
 
     def _end_run(self, event: SafetyEvent, end: RunOutcome, why: str) -> bool:
         self._limiter_flags = 0
@@ -180,6 +190,8 @@ class AcquisitionController:
     def _apply_event(self, event: SafetyEvent) -> bool:
         """Change the state; return whether it differs from the one before."""
         before, self.safety = self.safety, next_state(self.safety, event)
+        if not self._tool.has_motor and self.safety not in RUN_STATES:
+            self.safety = Safety.ARMED  # nothing can move
         if before is not self.safety and event is not SafetyEvent.FAULT:
             self.why = ""
         return before is not self.safety
@@ -193,6 +205,8 @@ class AcquisitionController:
         raw = self._source.read_block()
         if raw is None:
             return None
+        if not len(raw):
+            return SampleBlock(0, raw.t_mono_ns, 0, np.zeros(0, SAMPLE_DTYPE), safety=self.safety, why=self.why)
         if self._player is not None and self._player.at_start:
             self._sensor_monitor.reset()  # the run's first block restarts the tare, too
         commands = self._command_history.compute_bounds(raw.first_tick, len(raw))
@@ -208,7 +222,7 @@ class AcquisitionController:
         lost = self._sensor_monitor.check(block.samples, tare.rest_v if tare.measured else math.nan)
         if self.safety is Safety.TESTING:
             self._continue_self_test(lost)
-        elif self.safety in MONITORED_STATES and (why := lost or self._find_stop_reason(block, commands)):
+        elif self._is_monitored and (why := lost or self._find_stop_reason(block, commands)):
             self.fail(why)
         elif self._player is not None:
             if self._player.done:

@@ -1,4 +1,4 @@
-"""Messages between the workers over ZeroMQ: samples, estimates, notices, injury thresholds, commands and replies.
+"""Functions that open the workers' ZeroMQ sockets, and pack and unpack samples, notices, thresholds and commands.
 
 PUB/SUB loses messages silently once the queue of a slow subscriber is full. Therefore every block carries a sequence
 number, and `SequenceTracker` counts the missing blocks.
@@ -127,7 +127,7 @@ class SequenceTracker:
         self.missing = 0
 
     def is_out_of_order(self, block: SampleBlock) -> bool:
-        """Return whether a later block of the same sender came first, and counted this one as missing."""
+        """Return whether a later block of the same sender came first; `update` then counted this one as missing."""
         return (
             self._last_sequence is not None
             and block.sequence <= self._last_sequence
@@ -154,7 +154,10 @@ class SequenceTracker:
 
 @dataclass(frozen=True, slots=True)
 class ThresholdUpdate:
-    """The injury threshold in force, N, as known at sample `tick`, and its tissue; None: the library's lowest."""
+    """The injury threshold in force, N, as known at sample `tick`, and the tissue that it is of.
+
+    `tissue` is None if the threshold is the lowest one of the library.
+    """
 
     threshold_n: float
     tissue: str | None
@@ -183,7 +186,7 @@ def open_latest_subscriber(context: zmq.Context, address: str) -> zmq.Socket:
 
 @dataclass(frozen=True, slots=True)
 class ArmCommand:
-    """Begin the self-test at rest; later blocks report whether the tool is armed.
+    """Command to begin the self-test at rest; later blocks report whether the tool is armed.
 
     `unmeasured_scale_reason`: why the tool may be armed although its force scale is not measured.
     """
@@ -193,17 +196,17 @@ class ArmCommand:
 
 @dataclass(frozen=True, slots=True)
 class DisarmCommand:
-    """Set the motor to zero and forbid runs until the tool is armed again."""
+    """Command to set the motor to zero and forbid runs until the tool is armed again."""
 
 
 @dataclass(frozen=True, slots=True)
 class AcknowledgeCommand:
-    """Clear the latched fault, which a person has seen."""
+    """Command to clear the latched fault, which a person has seen."""
 
 
 @dataclass(frozen=True, slots=True)
 class StartCommand:
-    """Begin a run of `cycles` cycles of a protocol (as JSON); `tissue` sets that of a simulated tool."""
+    """Command to begin a run of `cycles` cycles of a protocol (as JSON); `tissue` sets that of a simulated tool."""
 
     run_id: str
     protocol: str
@@ -213,14 +216,14 @@ class StartCommand:
 
 @dataclass(frozen=True, slots=True)
 class StopCommand:
-    """Set the motor to zero now and end the run, if there is one."""
+    """Command to set the motor to zero now and end the run, if there is one."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedPullAndGaugeCommand:
-    """Set the pull, N, on a simulated tool's handle and the gauge, m, between its jaws (0: empty, None: tissue)."""
+    """Command to set a simulated tool's pull on the handle, N, and gauge in the jaws, m (0: empty, None: tissue)."""
 
     pull_n: float
     gauge_m: float | None
@@ -228,7 +231,7 @@ class SimulatedPullAndGaugeCommand:
 
 @dataclass(frozen=True, slots=True)
 class BeginSpotCommand:
-    """Begin a new spot with the next sample; a grasp under way belongs to the spot before."""
+    """Command to begin a new spot with the next sample; a grasp under way belongs to the spot before."""
 
 
 AnyCommand = (

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 
 class RunOutcome(StrEnum):
-    """Outcome of a run."""
+    """How a run ended."""
 
     FINISHED = "finished"
     STOPPED = "stopped"
@@ -21,35 +21,42 @@ class RunOutcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Acquiring:
-    """The acquisition has opened the tool and reads samples."""
+    """Notice that the acquisition has opened the tool and reads samples."""
 
     realtime: str
 
 
 @dataclass(frozen=True, slots=True)
 class AcquisitionFailed:
-    """The acquisition ends with an error."""
+    """Notice that the acquisition ends with an error."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class AcquisitionStalled:
-    """The acquisition was held up, and reads samples again."""
+    """Notice that the acquisition was held up, and reads samples again."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
+class WaitingForSamples:
+    """The acquisition's sign of life while a device without a motor gives no samples."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class GraspReleased:
-    """The limiter released a grasp: the motor is at zero until the protocol's next grasp."""
+    """Notice that the limiter released a grasp: the motor is at zero until the protocol's next grasp."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class RunEnded:
-    """A run is over, and the motor is at zero."""
+    """Notice that a run is over, and the motor is at zero."""
 
     run_id: str
     end: RunOutcome
@@ -61,12 +68,12 @@ class RunEnded:
 
 @dataclass(frozen=True, slots=True)
 class CompilingFilters:
-    """The estimator compiles its filters, which takes up to a minute."""
+    """Notice that the estimator compiles its filters, which takes up to a minute."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimating:
-    """The estimator processes samples; repeated once a second."""
+    """Notice that the estimator processes samples; repeated once a second."""
 
     realtime: str
 
@@ -76,13 +83,14 @@ class Estimating:
 
 @dataclass(frozen=True, slots=True)
 class RunMetadata:
-    """Description of a run before it begins. `protocol` is its JSON."""
+    """Description of a run before it begins. `protocol` is its JSON, `reference` that of the day's reference grasp."""
 
     run_id: str
     protocol: str
     cycles: int
     tissue: str | None
     by: str | None
+    reference: str | None = None
 
 
 # --- of the recorder -------------------------------------------------------------------------------------------------
@@ -99,22 +107,22 @@ class RecorderStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class RecordingFinished:
-    """A file is complete."""
+class RecordingFileComplete:
+    """Notice that a recording file is complete and can be indexed."""
 
     file: str
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingRecovered:
-    """A file that an earlier recorder left cut off has been repaired."""
+    """Notice that a recording file, which an earlier recorder left cut off, has been repaired."""
 
     file: str
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingStopped:
-    """A recording ended before its run."""
+    """Notice that a recording ended before its run."""
 
     text: str
 
@@ -131,14 +139,14 @@ class Monitoring:
 
 @dataclass(frozen=True, slots=True)
 class MotorZeroed:
-    """The acquisition fell silent in a run, and a reset of the board has brought the motor to zero."""
+    """Notice that the acquisition fell silent in a run, and a reset of the board has brought the motor to zero."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class MotorNotZeroed:
-    """The acquisition fell silent in a run, and the board could not be reset."""
+    """Notice that the acquisition fell silent in a run, and the board could not be reset."""
 
     text: str
 
@@ -155,13 +163,14 @@ Notice = (
     Acquiring
     | AcquisitionFailed
     | AcquisitionStalled
+    | WaitingForSamples
     | GraspReleased
     | RunEnded
     | CompilingFilters
     | Estimating
     | RunMetadata
     | RecorderStatus
-    | RecordingFinished
+    | RecordingFileComplete
     | RecordingRecovered
     | RecordingStopped
     | Monitoring

@@ -1,15 +1,25 @@
-"""The motor command over time that a protocol asks for."""
+"""The class ProtocolPlayer, which gives the motor command that a protocol asks for, sample by sample."""
 
 import numpy as np
 
 from config.errors import RefusedError
-from config.schema import CommandToForce, CustomWaveform, GraspProtocol, SineWaveform, Tool, TrapezoidWaveform
+from config.schema import (
+    ByHandWaveform,
+    CommandToForce,
+    CustomWaveform,
+    GraspProtocol,
+    SineWaveform,
+    Tool,
+    TrapezoidWaveform,
+)
 
 MIN_GRASP_SAMPLES = 20
+MAX_CYCLE_SAMPLES = 300_000
+"""Bounds the time for computing a command, 35 ms: the acquisition computes it between two blocks."""
 ROUNDING_TOLERANCE = 1e-9
 
 
-def command_cycle(protocol: GraspProtocol, tool: Tool) -> np.ndarray:
+def build_cycle_command(protocol: GraspProtocol, tool: Tool) -> np.ndarray:
     """Return the command of one grasp and its rest, V, shape (n,), at the tool's sample rate; it begins at 0.
 
     Raises:
@@ -17,10 +27,20 @@ def command_cycle(protocol: GraspProtocol, tool: Tool) -> np.ndarray:
     """
     waveform = protocol.waveform
     rate_hz = tool.board.sample_rate_hz
+    if not protocol.is_for(tool):
+        advice = "is for tools without a motor" if tool.has_motor else "drives a motor, which this tool lacks"
+        raise RefusedError(f"The protocol {protocol.name!r} {advice}. Choose another one.")
     if waveform.cycle_s > tool.limits.max_run_s:
         raise RefusedError(
             f"One cycle of {protocol.name!r} takes {waveform.cycle_s:.3g} s; the tool {tool.name!r} allows at most "
             f"{tool.limits.max_run_s:.0f} s. Shorten it or choose another protocol."
+        )
+    if isinstance(waveform, ByHandWaveform):
+        return np.broadcast_to(0.0, round(waveform.cycle_s * rate_hz))
+    if round(waveform.cycle_s * rate_hz) > MAX_CYCLE_SAMPLES:
+        raise RefusedError(
+            f"One cycle of {protocol.name!r} takes {waveform.cycle_s:.3g} s; at {rate_hz:.0f} samples a second at most "
+            f"{MAX_CYCLE_SAMPLES / rate_hz:.0f} s can be played. Shorten it or choose another protocol."
         )
     if waveform.grasp_s * rate_hz < MIN_GRASP_SAMPLES:
         raise RefusedError(
@@ -69,7 +89,7 @@ class ProtocolPlayer:
     """Player of a protocol's cycles, one command a call; `done` after the last rest."""
 
     def __init__(self, protocol: GraspProtocol, tool: Tool, cycles: int) -> None:
-        cycle = command_cycle(protocol, tool)
+        cycle = build_cycle_command(protocol, tool)
         lead_in = round(protocol.lead_in_s * tool.board.sample_rate_hz)
         duration_s = (lead_in + cycles * len(cycle)) / tool.board.sample_rate_hz
         if duration_s > tool.limits.max_run_s:

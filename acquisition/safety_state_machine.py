@@ -1,4 +1,4 @@
-"""The safety states of the tool, as a pure state machine; only the acquisition holds the state."""
+"""The tool's safety states and events, and the function for the next state; only the acquisition holds the state."""
 
 from enum import StrEnum
 

@@ -28,7 +28,7 @@ class SampleFlag(IntFlag):
 SAMPLE_DTYPE = np.dtype([(signal.name, signal.dtype) for signal in SIGNALS])
 
 
-def field_names(dtype: np.dtype) -> tuple[str, ...]:
+def dtype_field_names(dtype: np.dtype) -> tuple[str, ...]:
     """Return the names of a structured dtype's fields, in order."""
     assert dtype.names is not None
     return dtype.names

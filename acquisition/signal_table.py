@@ -29,7 +29,7 @@ class Source(StrEnum):
     """Set by the force limiter."""
 
 
-class Line(StrEnum):
+class LineStyle(StrEnum):
     """Look of a line in a chart. Later ones are drawn over earlier ones."""
 
     RAW = "raw"
@@ -43,7 +43,7 @@ class Trace:
     """A signal's line on the dashboard. A chart other than `force` and `displacement` gets a strip of its own."""
 
     chart: str
-    line: Line
+    line: LineStyle
     label: str
 
 
@@ -93,26 +93,26 @@ SIGNALS = (
 
     # at the jaws
     Signal("jaw_force_n", "N", "f8", Source.COMPUTED, conditioned=2, frame=4,
-           trace=Trace("force", Line.RAW, "unfiltered"),
+           trace=Trace("force", LineStyle.RAW, "unfiltered"),
            meaning="Jaw force, unfiltered: input of estimator and limiter"),
     Signal("jaw_displacement_m", "m", "f8", Source.COMPUTED, conditioned=3, frame=6,
-           trace=Trace("displacement", Line.RAW, "unfiltered"),
+           trace=Trace("displacement", LineStyle.RAW, "unfiltered"),
            meaning="Jaw displacement since the encoder's zero, unfiltered"),
     Signal("newton_per_volt", "N/V", "f8", Source.COMPUTED, conditioned=4,
            meaning="Derivative of the jaw force by the strain voltage, for its noise"),
     Signal("metre_per_volt", "m/V", "f8", Source.COMPUTED, conditioned=5,
            meaning="Derivative of the jaw displacement by the strain voltage, for its noise"),
     Signal("jaw_force_filtered_n", "N", "f8", Source.COMPUTED, conditioned=6, frame=5,
-           trace=Trace("force", Line.MEASURED, "filtered"),
+           trace=Trace("force", LineStyle.MEASURED, "filtered"),
            meaning="Jaw force after the Butterworth filter, for display"),
     Signal("jaw_displacement_filtered_m", "m", "f8", Source.COMPUTED, conditioned=7, frame=7,
-           trace=Trace("displacement", Line.MEASURED, "filtered"),
+           trace=Trace("displacement", LineStyle.MEASURED, "filtered"),
            meaning="Jaw displacement after the Butterworth filter, for display"),
     Signal("tissue_displacement_m", "m", "f8", Source.COMPUTED, conditioned=8, frame=8,
-           trace=Trace("displacement", Line.SECOND, "in tissue"),
+           trace=Trace("displacement", LineStyle.SECOND, "in tissue"),
            meaning="Jaw displacement since contact; NaN before contact"),
     Signal("limit_n", "N", "f8", Source.LIMITER, raw=9, frame=9, optional=True,  # recordings of older versions lack it
-           trace=Trace("force", Line.LIMIT, "limit"),
+           trace=Trace("force", LineStyle.LIMIT, "limit"),
            meaning="Limit that the limiter enforced at this sample; NaN without one"),
 
     # of the grasp
@@ -148,11 +148,21 @@ def find_wired_inputs(channels: Channels) -> dict[str, str]:
             "Correct the name, or add the signal to acquisition/signal_table.py (docs/extending.md)."
         )
     terminals = {each.name: each.wired(channels) if each.wired else other.get(each.name) for each in inputs}
-    return {name: terminal for name, terminal in terminals.items() if terminal is not None}
+    return {name: terminal for name, terminal in terminals.items() if terminal}
 
 
-def sort_by_number(place: str, numbers: Iterable[tuple[int | None, str]]) -> list[str]:
-    """Return the names that have a number, in the order of their numbers.
+def find_analog_inputs(channels: Channels) -> dict[str, str]:
+    """Return `find_wired_inputs`, and last the analog position sensor, if there is one, as `encoder_deg`.
+
+    Raises:
+        ConfigurationError: as `find_wired_inputs`.
+    """
+    position = {"encoder_deg": channels.position.input} if channels.position else {}
+    return find_wired_inputs(channels) | position
+
+
+def list_numbered_names(place: str, numbers: Iterable[tuple[int | None, str]]) -> list[str]:
+    """Return the names that have a number, in the order of the numbers; leave out names whose number is None.
 
     Raises:
         RuntimeError: the numbers are not 1, 2, ... without a gap; `place` is where they are used.

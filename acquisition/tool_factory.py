@@ -1,4 +1,4 @@
-"""Factory of the driver, the hardware check and the calibration bench for a tool file."""
+"""Functions that open the driver, the hardware check or the calibration bench of a tool file."""
 
 import time
 from collections.abc import Callable
@@ -9,23 +9,28 @@ import nidaqmx
 
 from acquisition.bench.tool_check import HardwareCheck
 from acquisition.drivers.nidaq import NidaqSource, create_session_options
+from acquisition.drivers.source import LiveSource
 from config.load import build_graspable_library, load_library, load_tool
 from config.schema import TissueLibrary, Tool, ToolKind
 
 if TYPE_CHECKING:
-    from acquisition.bench.readings import CalibrationBench
+    from acquisition.bench.calibration_bench import CalibrationBench
     from acquisition.simulation.grasper import SimulatedGrasper
 
 
 def open_tool(
     tool: Tool, library: TissueLibrary, tissue: str, seed: int, *, virtual: bool = False
-) -> tuple[NidaqSource, "SimulatedGrasper | None"]:
+) -> tuple[LiveSource, "SimulatedGrasper | None"]:
     """Return the tool's driver and, for a simulated tool, its grasper, whose tissue can be changed.
 
     With `virtual`, simulated time advances as fast as the caller reads; otherwise it is real time.
     """
     if tool.kind is ToolKind.NIDAQ:
         return NidaqSource(tool, create_session_options(tool)), None
+    if tool.kind is ToolKind.SERIAL:
+        from acquisition.drivers.serial_lines import SerialSource  # imports its library only where it is needed
+
+        return SerialSource(tool), None
     options, clock, grasper = _build_simulated_tool(tool, library, tissue, seed, virtual)
     return NidaqSource(tool, options, clock), grasper
 
@@ -45,7 +50,7 @@ def open_calibration_bench(
     tool: Tool, reading_context: Callable[[], AbstractContextManager[None]]
 ) -> "CalibrationBench":
     """Return the calibration bench of a tool; on a simulated tool it places weights and gauges itself."""
-    from acquisition.bench.readings import CalibrationBench  # the acquisition worker does not need it
+    from acquisition.bench.calibration_bench import CalibrationBench  # the acquisition worker does not need it
 
     if tool.kind is ToolKind.NIDAQ:
         return CalibrationBench(tool, create_session_options(tool), time.monotonic_ns, reading_context=reading_context)

@@ -1,29 +1,43 @@
 """The acquisition worker: the process that owns the tool, conditions its samples and commands its motor."""
 
+import select
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from multiprocessing.synchronize import Event
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Self
 
 import zmq
 
 from acquisition import bus
 from acquisition.acquisition_loop import AcquisitionController, describe_release
-from acquisition.drivers.nidaq import NidaqSource
-from acquisition.notices import Acquiring, AcquisitionFailed, AcquisitionStalled, GraspReleased
+from acquisition.drivers.source import LiveSource
+from acquisition.notices import Acquiring, AcquisitionFailed, AcquisitionStalled, GraspReleased, WaitingForSamples
+from acquisition.recordings.file_names import is_reference_run
 from acquisition.safety.force_limiter import ForceLimiter
 from acquisition.safety.safety_monitor import RESET_AFTER_SILENCE_S
-from acquisition.safety.server_watch import ServerWatchdog
+from acquisition.safety.server_watchdog import ServerWatchdog
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
 from acquisition.tool_factory import open_tool
 from acquisition.worker_life import begin_worker
 from acquisition.worker_process import ProcessEndFlag, apply_realtime
 from config.errors import GraspwatchError, RefusedError, ToolError
-from config.schema import ConditioningSettings, GraspProtocol, LimiterSettings, RealtimeSettings, TissueLibrary, Tool
+from config.schema import (
+    ConditioningSettings,
+    GraspProtocol,
+    LimiterSettings,
+    RealtimeSettings,
+    TissueLibrary,
+    Tool,
+    ToolKind,
+)
+
+if TYPE_CHECKING:
+    from acquisition.simulation.grasper import SimulatedGrasper
 
 REALTIME_PRIORITY = 80
-POLL_INTERVAL_S = 0.1
+POLL_INTERVAL_MS = 100
 PRIORITY_RENEWAL_INTERVAL_S = 1.0
 STALL_THRESHOLD_S = 0.5
 ERROR_AFTER_DELAY_S = 1.0
@@ -45,9 +59,12 @@ class AcquisitionSetup:
     seed: int
     limiter: LimiterSettings
     realtime: RealtimeSettings
-    start_event: Event  # set once the tool may be opened
+    start_signal: Connection  # has a message, which stays in it, once the tool may be opened
     max_server_silence_s: float
     previous_fault: str = ""  # fault that ended the previous worker while the tool was armed
+
+    def with_tool(self, tool: Tool) -> Self:
+        return replace(self, tool=tool)
 
 
 def main(setup: AcquisitionSetup) -> None:
@@ -69,19 +86,22 @@ def _run_acquisition(
     signs_of_life = bus.open_latest_subscriber(context, setup.endpoints.server_heartbeat)
     commands = context.socket(zmq.REP)
     commands.bind(setup.endpoints.commands)
-    limiter = ForceLimiter(setup.tool, setup.library, setup.limiter)
+    limiter = ForceLimiter(setup.tool, setup.library, setup.limiter) if setup.tool.has_motor else None
     safety = Safety.FAULTED if setup.previous_fault else Safety.DISARMED
     acquisition = AcquisitionController(source, setup.tool, setup.conditioning, limiter, safety, setup.previous_fault)
     server = ServerWatchdog(setup.max_server_silence_s)
-    while not setup.start_event.wait(POLL_INTERVAL_S):
-        if stop.is_set:
-            return
+    if not await_start(setup.start_signal, stop):
+        return
     with source:
         granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=0)
         publisher.send_multipart(bus.pack_notice(Acquiring(str(granted))))
-        stalls, renewed_s = StallDetector(source, acquisition, publisher), time.monotonic()
+        is_board = setup.tool.kind is not ToolKind.SERIAL
+        stalls, renewed_s = StallDetector(source, acquisition, publisher, is_board=is_board), time.monotonic()
         while not stop.is_set and (block := stalls.process_block()) is not None:
-            publisher.send_multipart(bus.pack_samples(block))
+            if len(block.samples):
+                publisher.send_multipart(bus.pack_samples(block))
+            else:
+                publisher.send_multipart(bus.pack_notice(WaitingForSamples(source.silence_reason)))
             _publish_events(acquisition, publisher)
             if time.monotonic() - renewed_s > PRIORITY_RENEWAL_INTERVAL_S:
                 granted.priority.renew()
@@ -99,15 +119,37 @@ def _run_acquisition(
                 if command is not None:  # an expired one says nothing about the server's present
                     server.on_heartbeat()
                 answer = _execute_command(command, acquisition)
-                if isinstance(command, bus.StartCommand) and command.tissue and grasper and not answer.refused:
-                    grasper.set_tissue(command.tissue)
+                if isinstance(command, bus.StartCommand) and grasper and not answer.refused:
+                    _fill_jaws(grasper, command)
                 if isinstance(command, bus.SimulatedPullAndGaugeCommand) and grasper:
                     grasper.handle_pull_n, grasper.gauge_m = command.pull_n, command.gauge_m
                 commands.send(bus.pack_reply(answer))
-            if (why := server.check(time.monotonic())) and acquisition.running:
+            if (why := server.check(time.monotonic())) and acquisition.running and setup.tool.has_motor:
                 acquisition.fail(why)
         acquisition.stop("the service was ended")
         _publish_events(acquisition, publisher)
+
+
+def await_start(start_signal: Connection, stop: ProcessEndFlag) -> bool:
+    """Wait until the tool may be opened. Return False if the service ends before, or has died, which closes the pipe.
+
+    The message stays in the pipe for the next worker.
+    """
+    waiter = select.poll()
+    waiter.register(start_signal.fileno(), select.POLLIN)
+    while not stop.is_set:
+        for _, events in waiter.poll(POLL_INTERVAL_MS):
+            return not events & select.POLLHUP and not stop.is_set
+    return False
+
+
+def _fill_jaws(grasper: "SimulatedGrasper", command: bus.StartCommand) -> None:
+    """Put the run's tissue between the simulated jaws, or nothing for a reference grasp."""
+    if is_reference_run(command.run_id):
+        grasper.gauge_m = 0.0
+    elif command.tissue:
+        grasper.gauge_m = None
+        grasper.set_tissue(command.tissue)
 
 
 class StallDetector:
@@ -120,11 +162,15 @@ class StallDetector:
 
     def __init__(
         self,
-        source: NidaqSource,
+        source: LiveSource,
         acquisition: AcquisitionController,
         publisher: zmq.Socket,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        is_board: bool = True,
     ) -> None:
+        """With `is_board`, an error soon after a delay means that the board's buffer overflowed: it is opened again."""
+        self._is_board = is_board
         self._source, self._acquisition, self._publisher, self._clock = source, acquisition, publisher, clock
         self._last_block_s = clock()
         self._delay_s, self._delay_end_s = 0.0, float("-inf")
@@ -139,7 +185,7 @@ class StallDetector:
             block = self._acquisition.process_block()
         except ToolError:
             self._measure_delay()
-            if self._clock() - self._delay_end_s > ERROR_AFTER_DELAY_S:
+            if not self._is_board or self._clock() - self._delay_end_s > ERROR_AFTER_DELAY_S:
                 raise
             self._delay_end_s = float("-inf")  # another error right after this one is the board's own
             self._source.reopen()

@@ -1,4 +1,4 @@
-"""The life of a worker process: it begins, publishes on the bus, and ends with its parent or on a signal."""
+"""The context manager begin_worker: a worker begins, publishes on the bus, and ends with its parent or on a signal."""
 
 import contextlib
 from collections.abc import Iterator

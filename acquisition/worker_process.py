@@ -1,16 +1,22 @@
-"""Common code of all worker processes: their end with the parent or on a signal, memory limit and priority."""
+"""Functions for processes of a service: end with the parent or on a signal, memory limit, priority, activity."""
 
+import atexit
 import contextlib
 import ctypes
 import gc
+import multiprocessing
 import os
+import pickle
 import resource
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import DupFd, ForkingPickler
 from pathlib import Path
 from types import FrameType
+from typing import Any, Self
 
 from config.schema import RealtimeSettings
 
@@ -26,23 +32,29 @@ SERVER_PRIORITY = 10
 SERVER_CPU_BURST_US = 1_000_000
 HARD_CPU_LIMIT_S = 5
 """The kernel kills a worker that computes for so long at real-time priority inside one call of a library."""
+MIN_HARD_LIMIT_BURSTS = 2
+"""With a lower hard limit of the system (RLIMIT_RTTIME), real-time priority counts as refused."""
 GRANT_TEXTS = {True: "granted", False: "refused", None: "not asked for"}
 
 
 class ProcessEndFlag:
-    """Flag set by SIGTERM and SIGINT. A worker checks it once a turn, so that it ends with the motor at zero."""
+    """Flag set by SIGTERM and SIGINT. A worker checks it once a turn, so that it ends with the motor at zero.
+
+    SIGHUP, which reaches all processes of a terminal, is left to the parent: it would take the ends for deaths.
+    """
 
     def __init__(self) -> None:
         self.is_set = False
         signal.signal(signal.SIGTERM, self._on_signal)
         signal.signal(signal.SIGINT, self._on_signal)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.is_set = True
 
 
 def initialize_worker(name: str, parent_pid: int) -> ProcessEndFlag:
-    """Tie this process to its parent, handle its signals, and set its name for `ps` and `top`."""
+    """Tie this process to its parent, set its name for `ps` and `top`, and return the flag that its signals set."""
     flag = ProcessEndFlag()
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -90,6 +102,7 @@ class RealtimePriority:
         self.times_lowered, self._is_lowered = 0, False
         if requested:
             signal.signal(signal.SIGXCPU, self._on_cpu_limit)
+            atexit.register(self.restore_default)  # the interpreter's end resets the handler: SIGXCPU would then kill
             self.granted = self._raise_priority()
 
     def __str__(self) -> str:
@@ -109,11 +122,12 @@ class RealtimePriority:
     def _raise_priority(self) -> bool:
         _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
         most = self._hard_limit_us if most == resource.RLIM_INFINITY else most  # a lower limit of the system stays
-        soft = self._cpu_burst_us if most == resource.RLIM_INFINITY else min(self._cpu_burst_us, most)
-        resource.setrlimit(resource.RLIMIT_RTTIME, (soft, most))
+        if most != resource.RLIM_INFINITY and most < MIN_HARD_LIMIT_BURSTS * self._cpu_burst_us:
+            return False  # the kernel would kill this process before it can fall back
         try:
+            resource.setrlimit(resource.RLIMIT_RTTIME, (self._cpu_burst_us, most))
             _set_scheduler(os.SCHED_FIFO, self._priority)
-        except PermissionError:
+        except (OSError, ValueError):  # ValueError: the limit was lowered meanwhile
             return False
         return True
 
@@ -156,7 +170,7 @@ def apply_realtime(
 
 
 def take_server_priority(requested: bool) -> RealtimePriority:
-    """Raise the priority of a server or recorder over programs of other sessions.
+    """Raise the priority of this server or recorder process over programs of other sessions, and return it.
 
     Between sessions Linux shares each core evenly, even if one of them needs little (autogroups, sched(7)): beside a
     busy browser a server waited 0.5 s for its turn.
@@ -165,8 +179,8 @@ def take_server_priority(requested: bool) -> RealtimePriority:
 
 
 @dataclass(frozen=True, slots=True)
-class ProcessActivity:
-    """State of a process's main thread, and processor time of all its threads in clock ticks, by proc(5)."""
+class ProcessSnapshot:
+    """Snapshot of any process from /proc: its main thread's state, and its processor time in clock ticks, proc(5)."""
 
     state: str
     cpu_ticks: int
@@ -181,21 +195,70 @@ class ProcessActivity:
         return self.state == "R"
 
 
-def read_activity(pid: int) -> ProcessActivity:
-    """Return the activity of a process; a process that does not exist is in state X, dead."""
+def read_process_snapshot(pid: int) -> ProcessSnapshot:
+    """Return a snapshot of the process `pid`; a process that does not exist is in state X, dead."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
-        return ProcessActivity("X", 0)
-    return ProcessActivity(fields[0], int(fields[11]) + int(fields[12]))
+        return ProcessSnapshot("X", 0)
+    return ProcessSnapshot(fields[0], int(fields[11]) + int(fields[12]))
 
 
-def start_child_process(process: BaseProcess) -> int:
-    """Start a process, lower it to the usual priority, because its parent waits while it loads, and return its id."""
-    process.start()
+def start_child_process(name: str, main: Callable[..., object], *arguments: Any) -> BaseProcess:
+    """Start `main(*arguments)` in a process, at the usual priority, and return it without waiting until it has loaded.
+
+    Raises:
+        OSError: the system refuses a process or its memory.
+    """
+    # Python's resource tracker, which starts with the first process, must outlive SIGHUP, or Python warns of its death.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with _InheritedArguments(arguments) as inherited:
+        process = multiprocessing.get_context("spawn").Process(target=_run_child, args=(main, inherited), name=name)
+        process.start()
     assert process.pid is not None
-    os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
-    return process.pid
+    with contextlib.suppress(ProcessLookupError):
+        os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
+    return process
+
+
+def _run_child(main: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+    try:
+        main(*arguments)
+    finally:
+        gc.freeze()  # otherwise the interpreter takes half a second to collect all modules before it ends
+
+
+class _InheritedArguments:
+    """Arguments of a process, in a file in memory that it inherits; in the process they are a tuple again.
+
+    multiprocessing sends arguments through a pipe. Above its 64 KiB `start` would wait until the process has loaded,
+    and for ever if the process is killed meanwhile, because the parent itself keeps the pipe's other end open.
+    """
+
+    def __init__(self, arguments: tuple[Any, ...]) -> None:
+        self._arguments = arguments
+        self._file = os.fdopen(os.memfd_create("arguments"), "wb")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __reduce__(self) -> tuple[Callable[..., tuple[Any, ...]], tuple[Any, ...]]:
+        self._file.write(ForkingPickler.dumps(self._arguments))
+        self._file.flush()
+        return _read_arguments, (DupFd(self._file.fileno()),)
+
+
+def _read_arguments(inherited: Any) -> tuple[Any, ...]:
+    with os.fdopen(inherited.detach(), "rb") as file:
+        file.seek(0)
+        return pickle.load(file)
 
 
 def _lock_memory() -> bool:

@@ -1,5 +1,7 @@
 """The errors a user can meet. Each text says what is wrong and what to do next; each class has its exit code."""
 
+import errno
+
 
 class GraspwatchError(Exception):
     """Base of every error that the user sees as one message, without a traceback."""
@@ -8,25 +10,25 @@ class GraspwatchError(Exception):
 
 
 class ConfigurationError(GraspwatchError):
-    """A settings, tool, library or protocol file is wrong, or a name does not exist."""
+    """Error: a settings, tool, library or protocol file is wrong, or a name does not exist."""
 
     exit_code = 2
 
 
 class RecordingError(GraspwatchError):
-    """A recording cannot be read. The text names the file, the line and the expected content."""
+    """Error: a recording cannot be read. The text names the file, the line and the expected content."""
 
     exit_code = 3
 
 
 class ToolError(GraspwatchError):
-    """The board or the grasper is missing, failed, or answered with an error."""
+    """Error: the board or the grasper is missing, failed, or answered with an error."""
 
     exit_code = 4
 
 
 class RefusedError(GraspwatchError):
-    """A request that the tool must not or cannot execute now (beyond limits, already running).
+    """Error: the tool must not or cannot execute a request now (beyond limits, already running).
 
     `field` names the faulty part of the request.
     """
@@ -39,18 +41,23 @@ class RefusedError(GraspwatchError):
 
 
 class ServiceError(GraspwatchError):
-    """The service cannot start or lost a worker (port taken, worker dead)."""
+    """Error: the service cannot start or lost a worker (port taken, worker dead)."""
 
     exit_code = 6
 
 
 class JournalError(GraspwatchError):
-    """The journal was changed or cannot be read. The text names the first faulty place."""
+    """Error: the journal was changed or cannot be read. The text names the first faulty place."""
 
     exit_code = 7
 
 
 class CalibrationError(GraspwatchError):
-    """The measurement gives no reliable calibration. The text says what to do; no file was written."""
+    """Error: the measurement gives no reliable calibration. The text says what to do; no file was written."""
 
     exit_code = 8
+
+
+def build_write_error(text: str, cause: OSError, kind: type[GraspwatchError] = ConfigurationError) -> GraspwatchError:
+    """Return the error for a file that cannot be written: a ServiceError on a full disk or quota, else of `kind`."""
+    return (ServiceError if cause.errno in (errno.ENOSPC, errno.EDQUOT) else kind)(text)

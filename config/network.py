@@ -1,4 +1,4 @@
-"""Host names and addresses: parse an authority (RFC 3986, `host:port`), and recognize this computer."""
+"""Functions for host names and addresses: parse an authority (RFC 3986, `host:port`), recognize this computer."""
 
 import ipaddress
 import re
@@ -39,8 +39,13 @@ def format_host(address: str) -> str:
     return f"[{address}]" if ":" in address and not address.startswith("[") else address
 
 
+def reachable_host(address: str) -> str:
+    """Return the host by which this computer reaches a service that listens on `address`."""
+    return "localhost" if address in ("127.0.0.1", "0.0.0.0", "::", "[::]") else format_host(address)
+
+
 def is_loopback(host: str) -> bool:
-    """Whether a program that listens on `host` (a name or an address) is reached from this computer alone."""
+    """Return whether a program that listens on `host` (a name or an address) is reached from this computer alone."""
     if host == "localhost":
         return True
     try:

@@ -1,4 +1,4 @@
-"""Plausible ranges of the lengths, gains and rates in a tool file; a value outside is mostly in another unit.
+"""The check of lengths, gains and rates in a tool file by plausible ranges; a value outside is mostly in another unit.
 
 The ranges are wide: they hold for any motorized grasper of this kind, and find values that are off by a unit.
 """
@@ -24,7 +24,7 @@ def _inverted(what: str) -> _Conversion:
 
 @dataclass(frozen=True, slots=True)
 class PlausibleRange:
-    """The range of a value in a unit, and the units that it is mistaken for."""
+    """The plausible range of a value in a unit, and the units that it is mistaken for."""
 
     low: float
     high: float
@@ -65,13 +65,17 @@ def _duration(low: float, high: float) -> PlausibleRange:
 
 MAX_V = 10.6  # of NI boards, a little over 10 V
 _FORCE = PlausibleRange(0.1, 100.0, "N", (_scaled("kN", 1e3), _scaled("mN", 1e-3), _scaled("grams-force", 9.80665e-3)))
-_SCALE = PlausibleRange(0.001, 10.0, "", (_scaled("percent", 0.01),))
+_SCALE = PlausibleRange(0.001, 10.0, "", (_scaled("percent", 0.01), _scaled("mN/V", 1e-3)))
 _STRETCH = PlausibleRange(
     1.0, 2000.0, "deg/V", (_scaled("rad/V", math.degrees(1.0)), _scaled("deg/mV", 1e3), _scaled("turns/V", 360.0))
 )
 
+_RATE = PlausibleRange(50.0, 250_000.0, "Hz", (_scaled("kHz", 1e3), _inverted("the period in s")))
+_NEWTON_PER_VOLT = PlausibleRange(0.1, 500.0, "N/V", (_scaled("N/mV", 1e3), _scaled("mN/V", 1e-3), _inverted("in V/N")))
+
 RANGES: dict[str, PlausibleRange] = {
-    "board.sample_rate_hz": PlausibleRange(50.0, 250_000.0, "Hz", (_scaled("kHz", 1e3), _inverted("the period in s"))),
+    "board.sample_rate_hz": _RATE,
+    "table.rate_hz": _RATE,
     "channels.analog_range_v": _voltage(0.1, MAX_V),
     "geometry.r_pp_m": _length(0.002, 0.3),
     "geometry.a_m": _length(0.0005, 0.1),
@@ -81,9 +85,18 @@ RANGES: dict[str, PlausibleRange] = {
     "geometry.l_jaw_m": _length(0.002, 0.15),
     "geometry.beta0_deg": PlausibleRange(1.0, 89.0, "deg", (_RAD,)),
     "geometry.opening_m": _length(0.0005, 0.1),
-    "calibration.newton_per_volt": PlausibleRange(
-        0.1, 500.0, "N/V", (_scaled("N/mV", 1e3), _scaled("mN/V", 1e-3), _inverted("in V/N"))
-    ),
+    "kinematics.opening_m": _length(0.0005, 0.1),
+    "kinematics.stretch_deg_per_volt": _STRETCH,
+    "kinematics.newton_per_volt": _NEWTON_PER_VOLT,
+    "kinematics.metre_per_degree": PlausibleRange(1e-6, 0.01, "m/deg", (_MM, _scaled("m/rad", math.radians(1.0)))),
+    "kinematics.jaw_per_handle": PlausibleRange(0.002, 20.0, ""),
+    "kinematics.handle_arm_m": _length(0.0005, 0.5),
+    "kinematics.jaw_arm_m": _length(0.002, 0.15),
+    "kinematics.strain_v": PlausibleRange(-MAX_V, MAX_V, "V", (_MILLI_V,)),
+    "kinematics.force_n": PlausibleRange(-100.0, 100.0, "N", (_scaled("mN", 1e-3),)),
+    "kinematics.encoder_deg": PlausibleRange(-36_000.0, 36_000.0, "deg"),
+    "kinematics.displacement_m": PlausibleRange(-0.1, 0.1, "m", (_MM, _CM, _INCH)),
+    "calibration.newton_per_volt": _NEWTON_PER_VOLT,
     "calibration.encoder_deg_per_volt": _STRETCH,
     "calibration.handle_per_encoder": PlausibleRange(
         0.002, 2.0, "", (_inverted("degrees of the encoder per degree of the handle"), _scaled("percent", 0.01))
@@ -113,6 +126,10 @@ RANGES: dict[str, PlausibleRange] = {
         0.2, 500.0, "deg/V", (_scaled("rad/V", math.degrees(1.0)), _scaled("deg/mV", 1e3))
     ),
     "contact.walk_deg": PlausibleRange(5.0, 36_000.0, "deg", (_RAD, _scaled("turns", 360.0))),
+    "channels.position.degree_per_volt": PlausibleRange(
+        -3600.0, 3600.0, "deg/V", (_scaled("rad/V", math.degrees(1.0)), _scaled("deg/mV", 1e3))
+    ),
+    "hand_driven.closing_deg": PlausibleRange(0.05, 36_000.0, "deg", (_RAD, _scaled("turns", 360.0))),
     "plausible.strain_step_v": _voltage(0.001, MAX_V),
     "plausible.strain_scatter_v": _voltage(0.001, MAX_V),
     "plausible.strain_below_rest_v": _voltage(0.001, MAX_V),
@@ -126,7 +143,7 @@ RANGES: dict[str, PlausibleRange] = {
     "simulation.free_travel_m": _length(1e-6, 0.05),
     "simulation.opening_time_s": _duration(0.001, 5.0),
 }
-MAY_BE_ZERO = ("calibration.encoder_deg_per_volt",)  # a rod instead of a cable does not stretch
+MAY_BE_ZERO = ("calibration.encoder_deg_per_volt", "kinematics.stretch_deg_per_volt")  # a rod does not stretch
 
 
 def check_plausible(tool: Tool, where: str) -> None:

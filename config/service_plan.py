@@ -1,4 +1,4 @@
-"""The plan of a service: decided once from command line and configuration, then passed to every part."""
+"""The class ServicePlan: decided from command line and configuration, then passed to every part of a service."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,11 +6,11 @@ from pathlib import Path
 from config.schema import Settings, TissueLibrary, Tool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ServicePlan:
-    """The parameters of one service.
+    """The parameters of one service. None changes but `tool` and `tool_source`, when a new calibration is used.
 
-    `recording_tool` is the tool for recordings that contain none. `tool_source` is the tool's name or file as given.
+    `recording_tool` is the tool for recordings that contain none. `tool_source` is the tool's file.
     With `opened_recordings` there is no tool, and the service only shows these recordings. `demo_enabled` repeats a
     protocol on each tissue in turn.
     """
@@ -29,6 +29,10 @@ class ServicePlan:
     @property
     def recordings_folder(self) -> Path:
         return self.data_folder / "recordings"
+
+    @property
+    def references_folder(self) -> Path:
+        return self.data_folder / "references"
 
     @property
     def studies_folder(self) -> Path:

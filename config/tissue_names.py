@@ -1,4 +1,4 @@
-"""Names of tissues: what a person may type, and what the program makes of it.
+"""Functions that normalize and check names of tissues, as a person types them.
 
 A name becomes part of names of columns, of fields of messages and of variables in MATLAB. So it is an identifier of
 small letters, digits and underscores, short enough for all of these.

@@ -1,7 +1,6 @@
-"""Write calibrated tool files beside the old ones, which stay unchanged."""
+"""Functions that write calibrated tool files beside the old ones, which stay unchanged."""
 
 import re
-import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
@@ -9,9 +8,10 @@ from pathlib import Path
 import tomlkit
 from tomlkit.items import Table
 
-from config.errors import ConfigurationError
-from config.load import find_tool_file, load_tool
-from config.schema import ConstantMeasurement, ForceScale
+from config import atomic_write
+from config.errors import GraspwatchError, build_write_error
+from config.load import TEXT_ENCODING, FileKind, find_file, parse_file
+from config.schema import ConstantMeasurement, ForceScale, Tool
 
 DATE_SUFFIX = re.compile(r"-\d{4}-\d{2}-\d{2}(-\d+)?$")
 MAX_FILES_PER_DAY = 1000
@@ -25,7 +25,7 @@ def write_calibrated_tool(
     today: date,
     into: Path,
 ) -> Path:
-    """Write a copy of a tool file with other constants and return its path.
+    """Write a copy of a tool file with other constants; return the copy's path.
 
     Args:
         tool: name or path of the old file.
@@ -36,10 +36,11 @@ def write_calibrated_tool(
         into: folder of the new file, which never overwrites another.
 
     Raises:
-        ConfigurationError: the folder is not writable, or the result is not a valid tool file.
+        ConfigurationError: the folder is not writable, or the result is not a valid tool file; no file is left then.
+        ServiceError: the disk is full.
     """
-    old = find_tool_file(tool)
-    document = tomlkit.parse(old.read_text(encoding="utf-8"))
+    old = find_file(tool, FileKind.TOOL)
+    document = tomlkit.parse(old.read_text(encoding=TEXT_ENCODING))
     for place, value in values.items():
         table, key = place.split(".")
         if isinstance(value, ForceScale):
@@ -55,18 +56,12 @@ def write_calibrated_tool(
     for table in [*kept, *(how.model_dump() for how in measured)]:
         tables.append(tomlkit.item({name: _round_value(value) for name, value in table.items()}))
     calibration["measured"] = tables
+    stem, text = DATE_SUFFIX.sub("", old.stem) + f"-{today.isoformat()}", _separate_tables(tomlkit.dumps(document))
+    parse_file(text, Tool, str(into / f"{stem}.toml"))
     try:
-        path = _write_new(
-            into, DATE_SUFFIX.sub("", old.stem) + f"-{today.isoformat()}", _separate_tables(tomlkit.dumps(document))
-        )
+        return _write_new(into, stem, text)
     except OSError as error:
         raise _create_unwritable_error(into, error) from None
-    try:
-        load_tool(str(path))
-    except ConfigurationError:
-        path.unlink()
-        raise
-    return path
 
 
 def _round_value(value: object) -> object:
@@ -83,27 +78,26 @@ def check_writable(folder: Path) -> None:
 
     Raises:
         ConfigurationError: the folder is not writable.
+        ServiceError: the disk is full.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        atomic_write.check_writable(folder)
     except OSError as error:
         raise _create_unwritable_error(folder, error) from None
 
 
-def _create_unwritable_error(folder: Path, error: OSError) -> ConfigurationError:
-    return ConfigurationError(
+def _create_unwritable_error(folder: Path, error: OSError) -> GraspwatchError:
+    text = (
         f"{folder}: no tool file can be written there ({error.strerror}). Mend that, or name another folder (--into)."
     )
+    return build_write_error(text, error)
 
 
 def _write_new(folder: Path, stem: str, text: str) -> Path:
     for n in range(1, MAX_FILES_PER_DAY):
         path = folder / (f"{stem}.toml" if n == 1 else f"{stem}-{n}.toml")
         try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(text)
+            atomic_write.write_atomically(path, text, overwrite=False)
         except FileExistsError:
             continue
         return path

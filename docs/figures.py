@@ -15,8 +15,14 @@ from playwright.sync_api import sync_playwright
 ROOT = Path(__file__).parents[1]
 STUDIES, DOCS = ROOT / "studies", ROOT / "docs"
 PAGE = DOCS / "estimation.md"
-SEEDS = {"limiter": "20261127"}
-"""One that nothing was tuned on."""
+OPTIONS = {
+    "limiter": ["--seed", "20261127"]  # one that nothing was tuned on
+}
+VARIANTS = {  # mark in the page: further options of `identify`
+    "identify-no-touch": ["--no-touch"],
+    "identify-5mv": ["--noise-mv", "5"],
+    "identify-5mv-no-touch": ["--noise-mv", "5", "--no-touch"],
+}
 PLOTS = {  # picture: study, which of its plots
     "share-right": ("identify", 0),
     "reliability": ("identify", 1),
@@ -38,17 +44,16 @@ TABLES = {  # mark in the page: study, which of its tables
 
 
 def main() -> None:
-    names = ["paper", "identify", "unknown", "initial", "mismatch", "estimators", "limiter"]
-    noisy = "identify-5mv"
+    names = ["paper", "identify", "repeated", "unknown", "initial", "mismatch", "estimators", "limiter"]
     if "--keep" not in sys.argv:
         graspwatch = [Path(sys.executable).parent / "graspwatch", "study"]
         for name in names:
-            seed = ["--seed", SEEDS[name]] if name in SEEDS else []
-            subprocess.run([*graspwatch, name, "--out", STUDIES, *seed], check=True, cwd=ROOT)
-        words = ["identify", "--noise-mv", "5", "--out", STUDIES / noisy]
-        subprocess.run([*graspwatch, *words], check=True, cwd=ROOT)
+            subprocess.run([*graspwatch, name, "--out", STUDIES, *OPTIONS.get(name, ())], check=True, cwd=ROOT)
+        for name, options in VARIANTS.items():
+            words = ["identify", *options, "--out", STUDIES / name]
+            subprocess.run([*graspwatch, *words], check=True, cwd=ROOT)
     found = {name: json.loads((STUDIES / f"study-{name}.json").read_text()) for name in names}
-    found[noisy] = json.loads((STUDIES / noisy / "study-identify.json").read_text())
+    found |= {name: json.loads((STUDIES / name / "study-identify.json").read_text()) for name in VARIANTS}
     text = PAGE.read_text()
     for name in found:
         text = between(text, name, figures_table(found[name]["figures"]))

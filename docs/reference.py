@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import config.schema
+import config.table_layout
 from config.schema import Tool
 
 FOLDER = Path(__file__).parent / "reference"
@@ -31,7 +32,12 @@ def written() -> dict[str, str]:
         table = _resolved(prop, schema)
         if table and table["type"] == "object" and "properties" in table:
             tables += _table(f"`[{name}]`", table, schema)
+    for kind, reference in schema["properties"]["kinematics"]["discriminator"]["mapping"].items():
+        kinematics = schema["$defs"][reference.rpartition("/")[2]]
+        tables += _table(f'`[kinematics]` with `kind = "{kind}"`', kinematics, schema)
     tables += _table("`[[channels.other]]`", schema["$defs"]["OtherInput"], schema)
+    tables += _table("`[table.time]`", schema["$defs"]["TimeColumn"], schema)
+    tables += _table("`[[table.columns]]`", schema["$defs"]["TableColumn"], schema)
     tables += _table("`[calibration.jaw_force_scale]`", schema["$defs"]["ForceScale"], schema)
     tables += _table("`[[calibration.measured]]`", schema["$defs"]["ConstantMeasurement"], schema)
     return {
@@ -43,13 +49,22 @@ def written() -> dict[str, str]:
 def _describe(schema: dict[str, Any]) -> None:
     """Put the text below each field of the classes into the schema."""
     tables = {schema["title"]: schema, **schema["$defs"]}
-    for part in ast.parse(Path(config.schema.__file__).read_text(encoding="utf-8")).body:
-        if not (isinstance(part, ast.ClassDef) and "properties" in tables.get(part.name, {})):
+    files = (config.schema.__file__, config.table_layout.__file__)
+    texts: dict[str, dict[str, str]] = {}  # by class and field, those of the classes that it is built on included
+    for part in (part for file in files for part in ast.parse(Path(file).read_text(encoding="utf-8")).body):
+        if not isinstance(part, ast.ClassDef):
             continue
+        own = texts[part.name] = {}
+        for base in part.bases:
+            own |= texts.get(ast.unparse(base), {})
         for field, below in pairwise(part.body):
             match field, below:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    tables[part.name]["properties"][name]["description"] = " ".join(text.split())
+                    own[name] = " ".join(text.split())
+    for title, table in tables.items():
+        for name, about in table.get("properties", {}).items():
+            if name in texts.get(title, {}):
+                about["description"] = texts[title][name]
 
 
 def _table(title: str, table: dict[str, Any], schema: dict[str, Any]) -> list[str]:
@@ -60,7 +75,8 @@ def _table(title: str, table: dict[str, Any], schema: dict[str, Any]) -> list[st
     for name, prop in table["properties"].items():
         nested = _resolved(prop, schema)
         is_table = nested is not None and "properties" in nested
-        value = f"table `[{name}]`" if is_table else _value(prop, schema)
+        is_own = is_table and table is schema
+        value = f"table `[{name}]`" if is_own else "table, see below" if is_table else _value(prop, schema)
         if name in required:
             default = "required"
         elif is_table or isinstance(prop.get("default"), dict):
@@ -82,7 +98,7 @@ def _resolved(prop: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any] | 
 
 def _value(prop: dict[str, Any], schema: dict[str, Any]) -> str:
     options = [each for each in prop.get("anyOf") or prop.get("oneOf", [prop]) if each.get("type") != "null"]
-    return " or ".join(_one(each, schema) for each in options)
+    return " or ".join(dict.fromkeys(_one(each, schema) for each in options))
 
 
 def _one(prop: dict[str, Any], schema: dict[str, Any]) -> str:

@@ -36,7 +36,8 @@ DRIFT_FLOOR_N = 0.05
 
 # For real tissue with a learned library: no alpha and beta fit a whole loading, and cable and drive have friction.
 # With these values, filters follow 98 of the 100 valid grasps recorded in 2013; with those above, 26 (decision 15).
-REAL_FORCE_SD_N = 0.3  # a hundredth of the peak force by these recordings' calibration
+REAL_FORCE_SD_N = 0.3  # a hundredth of these recordings' peak force by Eq. (2)
+REAL_FORCE_SD_V = 0.025  # the same where newtons are a constant times the strain: a hundredth of its peak
 REAL_DISPLACEMENT_SD_M = 50e-6
 REAL_DYNAMIC_SHARE = 0.5
 REAL_DRIFT_RATE = 10.0  # share of the force squared, per second: the tissue leaves its curve by 30 % in 10 ms
@@ -56,11 +57,18 @@ NIS_INFLATION_THRESHOLD = 16.0  # four standard deviations: the linearization mi
 MAX_INFLATION = 4.0  # times the covariance, in one sample
 NIS_MEMORY = 0.95  # of the running mean of the normalized innovation squared: 20 samples
 NIS_DIVERGED = 50.0
+# The elastic force of a filter that follows the grasp is below the measured force while the jaws close. A filter whose
+# elastic force exceeds this multiple of the grasp's peak so far, and this margin for its beginning, has diverged.
+DIVERGED_FORCE_RATIO, DIVERGED_FORCE_N = 2.0, 0.5
 
 # --- second passes ----------------------------------------------------------------------------------------------------
 # After these numbers of samples, each filter processes the grasp again, linearized at its present estimate (decision
 # 9). Together the passes cost half as much as the samples; the last one takes two milliseconds.
-SECOND_PASS_AT = np.array([16, 64, 256, 1024])
+SECOND_PASS_AT = (16, 64, 256, 1024)
+# Tissue as soft as living tissue is still curving after 64 samples. So the strict filters, which carry the evidence
+# where Eq. (7) holds, have one more pass with libraries that state their units. Others keep the passes that they were
+# judged with.
+STRICT_SECOND_PASS_AT = (16, 64, 128, 224, 1024)
 
 # --- evidence ---------------------------------------------------------------------------------------------------------
 # SD of log alpha, beta, d beyond the specimens' spread: no tissue follows Eq. (7) exactly, and other motion looks like

@@ -1,6 +1,8 @@
-"""The paper's criteria for a filter: convergence time and force error (Tables IV to VI)."""
+"""The class ForceErrors: the paper's criteria for a filter, convergence time and force error (Tables IV to VI)."""
 
 import numpy as np
+
+MIN_ESTIMATED_SHARE = 0.5  # of a grasp's samples: with fewer estimates, a filter has no mean force error
 
 
 def convergence_samples(errors_n: np.ndarray, bound_n: float) -> np.ndarray:
@@ -54,9 +56,13 @@ class ForceErrors:
         return convergence_samples(self._concatenate(), self._convergence_share * self._peak_n)
 
     def mean_error_n(self) -> np.ndarray:
-        """Return each filter's mean force error (its own less the measured), N, (K,); NaN for a filter without any."""
+        """Return each filter's mean force error (its own less the measured), N, (K,).
+
+        NaN for a filter that has no estimate of a part of the samples, because it has diverged.
+        """
         errors = self._concatenate()
         sound = np.isfinite(errors)
         count = sound.sum(axis=0)
         total = np.where(sound, errors, 0.0).sum(axis=0)
-        return np.divide(total, count, out=np.full(errors.shape[1], np.nan), where=count > 0)
+        enough = count > MIN_ESTIMATED_SHARE * len(errors)
+        return np.divide(total, count, out=np.full(errors.shape[1], np.nan), where=enough)

@@ -1,4 +1,4 @@
-"""Decide when a tissue is named and when the name is withdrawn."""
+"""The class Decision, which decides when a tissue is named and when the name is withdrawn."""
 
 from dataclasses import dataclass
 

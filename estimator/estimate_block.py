@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from acquisition.sample_block import field_names
+from acquisition.sample_block import dtype_field_names
 from estimator.force_alarms import ForceAlarm
 
 
@@ -29,6 +29,7 @@ def estimate_dtype(tissues: int) -> np.dtype:
             ("beta_per_m", "f8", each),
             ("damping_kg_per_s", "f8", each),
             ("log_sd", "f8", (tissues, 3)),  # SD of log alpha, log beta, log d
+            ("nis", "f8", each),  # running mean normalized innovation squared of the likelier filter; 1 if it fits
         ]
     )
 
@@ -37,7 +38,7 @@ def blank_estimates(dtype: np.dtype, ticks: np.ndarray) -> np.ndarray:
     """Return rows for these ticks with NaN in every other column."""
     rows = np.empty(len(ticks), dtype)
     rows["tick"] = ticks
-    for name in field_names(dtype)[1:]:
+    for name in dtype_field_names(dtype)[1:]:
         rows[name] = np.nan
     return rows
 
@@ -81,6 +82,11 @@ class IdentificationResult(BaseModel):
     spots: tuple[SpotVerdict, ...] = Field(
         default=(), description="Verdicts of the spots so far; the last one may be of a spot without a grasp yet"
     )
+    nis: dict[str, float | None] = Field(
+        default_factory=dict,
+        description="Normalized innovation squared of each tissue's filter, mean of its last 20 samples: about 1 where "
+        "it follows the grasp; null: no estimate",
+    )
 
 
 class GraspRecord(BaseModel):
@@ -105,6 +111,7 @@ class GraspRecord(BaseModel):
     force_error_n: dict[str, float | None]
     valid: bool
     why_invalid: str | None
+    held_back: bool = Field(description="Whether the limiter kept the command lower than the protocol asks for")
     peak_share_of_limit: float | None = Field(
         default=None,
         description="Highest ratio of the force to the limit enforced at that time; null: no limit was enforced",

@@ -1,4 +1,4 @@
-"""Estimates on the bus: the estimator packs a block's estimates, and server, recorder and Foxglove worker unpack them.
+"""Functions that pack estimates for the bus (estimator), and unpack them (server, recorder and Foxglove worker).
 
 A message is the topic, a JSON header, and the rows of `estimate_dtype` as bytes.
 """

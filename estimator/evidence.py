@@ -1,4 +1,4 @@
-"""Compute a probability for each tissue and for `unknown` from the filter bank.
+"""The class BankEvidence, which computes a probability for each tissue and for `unknown` from the filter bank.
 
 From each kind of filter (strict and lenient) the best-fitting one counts. Its posterior without its own prior is a
 Gaussian likelihood of (log alpha, log beta, log d). This likelihood is combined with each tissue's prior, and with a
@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
+from acquisition.compilation import compiled
 from config.schema import IdentificationSettings, TissueLibrary
-from estimator.compilation import compiled
 from estimator.constants import (
     FILLED_JAWS_MARGIN_M,
     FOLD_PROBABILITY,
@@ -30,7 +30,7 @@ from estimator.constants import (
     UNKNOWN_THICKNESS_M,
 )
 from estimator.filter_bank import FilterBank
-from estimator.kalman_filter import INFLATION, LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, find_most_likely
+from estimator.kalman_filter import INFLATION, LOG_ALPHA, LOG_LIKELIHOOD, NIS_SUM, find_likeliest_filter
 
 UNINFORMATIVE_VAR = 1e100  # variance of a prior without information
 
@@ -39,8 +39,8 @@ UNINFORMATIVE_VAR = 1e100  # variance of a prior without information
 class GraspLikelihood:
     """What the bank knows of a finished grasp, apart from all priors.
 
-    For each kind of filter: log weight, (K,); information matrix, (K, 3, 3), and vector, (K, 3), of log alpha, log beta
-    and log d. A kind that diverged has the log weight -inf. `other` holds further log-likelihoods, (M + 1,).
+    For each kind of filter: log of the likelihood's peak, (K,); information matrix, (K, 3, 3), and vector, (K, 3), of
+    log alpha, log beta and log d. A kind that diverged has the peak -inf. `other`: further log-likelihoods, (M + 1,).
     """
 
     log_weight: np.ndarray
@@ -63,15 +63,15 @@ class BankEvidence:
 
     @property
     def prior(self) -> np.ndarray:
-        """Prior probabilities, (M + 1,)."""
+        """Prior probabilities of the tissues and of `unknown`, (M + 1,)."""
         return np.exp(self._log_prior)
 
     def compute_thickness_log_likelihood(self, travel_m: float, opening_m: float) -> np.ndarray:
-        """Return log-likelihoods, (M + 1,), of contact after the jaws closed by `travel_m` from `opening_m`."""
+        """Return log-likelihoods, (M + 1,), of first contact after closing by `travel_m` from `opening_m`."""
         return self._thickness.log_likelihood(travel_m, opening_m)
 
     def probabilities(self, log_likelihood: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return posterior probabilities, (M + 1,), given the bank and other independent evidence, (M + 1,)."""
+        """Return posterior probabilities, (M + 1,), by the bank and `log_likelihood`, (M + 1,), of other evidence."""
         state = self._bank.state
         result = np.empty(len(self._log_prior))
         compute_posterior(
@@ -91,14 +91,14 @@ class BankEvidence:
         return result
 
     def measure_likelihood(self, log_likelihood: np.ndarray | float = 0.0) -> GraspLikelihood:
-        """Return the likelihood of the grasp as the bank knows it now, with other independent evidence, (M + 1,)."""
+        """Return the grasp's likelihood by the bank so far and `log_likelihood`, (M + 1,), of other evidence."""
         state, priors, tissues = self._bank.state, self._bank.priors, len(self._bank.priors.names)
         kinds = len(state.mean) // tissues
         found = GraspLikelihood(
             np.full(kinds, -np.inf), np.zeros((kinds, 3, 3)), np.zeros((kinds, 3)), np.zeros(tissues + 1)
         )
         for kind in range(kinds):
-            best = find_most_likely(kind * tissues, (kind + 1) * tissues, state.fit_statistics, state.valid)
+            best = find_likeliest_filter(kind * tissues, (kind + 1) * tissues, state.fit_statistics, state.valid)
             if best < 0:
                 continue
             fit = state.fit_statistics[best]
@@ -106,8 +106,11 @@ class BankEvidence:
             own_var = self._bank.filter_sd[best % tissues] ** 2 * min(fit[INFLATION], UNINFORMATIVE_VAR)
             misfit = max(fit[NIS_SUM] / max(state.samples_taken[0] - 1, 1) / NIS_TOLERANCE, 1.0)
             information, vector = compute_parameter_likelihood(state.mean[best], state.cov[best], own, own_var)
-            found.log_weight[kind] = fit[LOG_LIKELIHOOD] - compute_marginal_log_likelihood(
-                information, vector, own, own_var
+            # the marginal likelihood is up to a constant, half the vector times the mean: here it does not cancel
+            found.log_weight[kind] = (
+                fit[LOG_LIKELIHOOD]
+                - compute_marginal_log_likelihood(information, vector, own, own_var)
+                + 0.5 * float(vector @ np.linalg.pinv(information) @ vector)
             )
             found.information[kind], found.vector[kind] = information / misfit, vector / misfit
         excess = max(float(state.surprise[0]) / SURPRISE_TOLERANCE, 1.0)
@@ -115,7 +118,7 @@ class BankEvidence:
         found.other[:] += log_likelihood
         return found
 
-    def combine(self, grasps: Sequence[GraspLikelihood]) -> np.ndarray:
+    def combine_grasps(self, grasps: Sequence[GraspLikelihood]) -> np.ndarray:
         """Return posterior probabilities, (M + 1,), of the tissue of a spot from several grasps on it.
 
         The spot's parameters are one draw of the tissue's prior, and each grasp scatters a little about them. So every
@@ -129,10 +132,12 @@ class BankEvidence:
         for kind in range(len(grasps[0].log_weight)):
             common, information, vector = 0.0, np.zeros((3, 3)), np.zeros(3)
             for each in grasps:
-                common += each.log_weight[kind]
-                blurred = np.linalg.inv(np.eye(3) + each.information[kind] * scatter_var)
-                information += blurred @ each.information[kind]
-                vector += blurred @ each.vector[kind]
+                blurring = np.linalg.inv(np.eye(3) + each.information[kind] * scatter_var)
+                blurred_vector = blurring @ each.vector[kind]
+                mean = np.linalg.pinv(each.information[kind]) @ each.vector[kind]
+                common += each.log_weight[kind] + 0.5 * np.linalg.slogdet(blurring)[1] - 0.5 * blurred_vector @ mean
+                information += blurring @ each.information[kind]
+                vector += blurred_vector
             if not np.isfinite(common):
                 continue
             for j in range(len(result)):
@@ -148,7 +153,7 @@ class BankEvidence:
 
 
 class ThicknessEvidence:
-    """Evidence from the gap between the jaws at first contact."""
+    """Evidence for a tissue from its thickness, the gap between the jaws at first contact."""
 
     def __init__(self, library: TissueLibrary) -> None:
         thickness_m = [profile.thickness_m for profile in library.tissues.values()]
@@ -157,7 +162,7 @@ class ThicknessEvidence:
         self._sd = np.array([*sd, UNKNOWN_LOG_THICKNESS_SD])
 
     def log_likelihood(self, travel_m: float, opening_m: float) -> np.ndarray:
-        """Return log-likelihoods of the tissues and of `unknown`, (M + 1,).
+        """Return log-likelihoods, (M + 1,), of first contact after closing by `travel_m` from `opening_m`.
 
         Tissue that fills the open jaws counts as at least as thick as they open.
         """
@@ -189,7 +194,7 @@ def compute_posterior(
     tissues = len(guess)
     result[:] = -np.inf
     for first in range(0, len(mean), tissues):
-        best = find_most_likely(first, first + tissues, fit, valid)
+        best = find_likeliest_filter(first, first + tissues, fit, valid)
         if best >= 0:
             # inflating the covariance by f leaves 1/f of all information, including the prior's
             own, own_var = guess[best - first], guess_var[best - first] * min(fit[best, INFLATION], UNINFORMATIVE_VAR)

@@ -1,11 +1,12 @@
-"""The bank: extended Kalman filters for every tissue of the library, side by side on one grasp."""
+"""The class FilterBank: extended Kalman filters for every tissue of the library, side by side on one grasp."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from config.schema import TissueLibrary, Tool, ToolKind
+from acquisition.compilation import compiled
+from config.schema import ForceLaw, TissueLibrary, Tool, ToolKind
 from estimator.constants import (
     DISPLACEMENT_NOISE_SD_M,
     FORCE_NOISE_SD_N,
@@ -20,9 +21,11 @@ from estimator.constants import (
     REAL_DRIFT_RATE,
     REAL_DYNAMIC_SHARE,
     REAL_FORCE_SD_N,
+    REAL_FORCE_SD_V,
     SECOND_PASS_AT,
     STRICT_DYNAMIC_SHARE,
     STRICT_LOG_MASS_SD,
+    STRICT_SECOND_PASS_AT,
     UNDETECTED_FORCE_N,
     VELOCITY_SD_M_PER_S,
 )
@@ -65,9 +68,11 @@ class TissuePriors:
 
     @classmethod
     def from_library(cls, library: TissueLibrary) -> "TissuePriors":
-        mean = [(t.alpha_n, t.beta_per_m, t.damping_kg_per_s) for t in library.tissues.values()]
-        spreads = [library.spread_of(name) for name in library.tissues]
-        sd = [(s.log_alpha, s.log_beta, s.log_damping) for s in spreads]
+        alpha = [library.held_alpha(name) for name in library.tissues]
+        tissues = zip(alpha, library.tissues.values(), strict=True)
+        mean = [(held.median_n, t.beta_per_m, t.damping_kg_per_s) for held, t in tissues]
+        spreads = zip(alpha, map(library.spread_of, library.tissues), strict=True)
+        sd = [(held.log_sd, s.log_beta, s.log_damping) for held, s in spreads]
         learned = [np.array(t.learned.log_covariance)[:3, :3] for t in library.tissues.values() if t.learned]
         each_sd = [np.sqrt(np.diag(cov)) for cov in learned]
         correlation = np.array([cov / np.outer(s, s) for cov, s in zip(learned, each_sd, strict=True)])
@@ -78,10 +83,11 @@ class TissuePriors:
 
 @dataclass(frozen=True, slots=True)
 class FilterTuning:
-    """Noise model of one kind of filter, and the SD of its log mass."""
+    """Tuning of one kind of filter: noise, SD of the log mass, and the sample counts at which it repeats the grasp."""
 
     noise: FilterNoise
     log_mass_sd: float
+    second_pass_at: tuple[int, ...] = SECOND_PASS_AT
 
 
 def build_filter_tunings(tool: Tool) -> tuple[FilterTuning, FilterTuning]:
@@ -101,18 +107,20 @@ def build_filter_tunings(tool: Tool) -> tuple[FilterTuning, FilterTuning]:
     return FilterTuning(strict, STRICT_LOG_MASS_SD), FilterTuning(lenient, LENIENT_LOG_MASS_SD)
 
 
-def tune_for_real_tissue(trust: FilterTuning) -> FilterTuning:
-    """Return a filter's tuning with more noise, for real tissue.
+def tune_for_real_tissue(trust: FilterTuning, tool: Tool) -> FilterTuning:
+    """Return a filter's tuning with more noise, for real tissue held by `tool`.
 
     Real tissue sticks, slides and leaves its curve, and cable and drive have friction.
     """
+    scale = tool.calibration.jaw_force_scale
+    force_sd_n = REAL_FORCE_SD_V * scale.value if scale.law is ForceLaw.CONSTANT else REAL_FORCE_SD_N
     noise = trust.noise._replace(
-        force_var=REAL_FORCE_SD_N**2,
+        force_var=force_sd_n**2,
         displacement_var=REAL_DISPLACEMENT_SD_M**2,
         dynamic_share=REAL_DYNAMIC_SHARE,
         drift_rate=REAL_DRIFT_RATE,
     )
-    return FilterTuning(noise, LENIENT_LOG_MASS_SD)
+    return replace(trust, noise=noise, log_mass_sd=LENIENT_LOG_MASS_SD)
 
 
 @dataclass(slots=True)
@@ -155,7 +163,11 @@ class FilterBank:
         self.priors, self.tunings = priors, trusts
         self.filter_sd = priors.sd * widening
         self._guess = np.tile(priors.mean, (len(trusts), 1))
-        self._history = np.zeros((int(SECOND_PASS_AT[-1]), SAMPLE_COLUMNS + 1))
+        longest = max(len(trust.second_pass_at) for trust in trusts)
+        self.second_pass_at = np.zeros((len(trusts), longest), np.int64)  # 0: no pass
+        for row, trust in zip(self.second_pass_at, trusts, strict=True):
+            row[: len(trust.second_pass_at)] = trust.second_pass_at
+        self._history = np.zeros((int(self.second_pass_at.max()), SAMPLE_COLUMNS + 1))
         self.start(ContactStart(np.zeros(SAMPLE_COLUMNS)))
 
     @classmethod
@@ -163,7 +175,9 @@ class FilterBank:
         """Create the bank for a library's tissues on a tool."""
         trusts = build_filter_tunings(tool)
         if library.learned and tool.kind is not ToolKind.SIMULATED:
-            trusts = tuple(tune_for_real_tissue(trust) for trust in trusts)
+            trusts = tuple(tune_for_real_tissue(trust, tool) for trust in trusts)
+        if library.units is not None:
+            trusts = (replace(trusts[0], second_pass_at=STRICT_SECOND_PASS_AT), *trusts[1:])
         return cls(TissuePriors.from_library(library), trusts)
 
     def start(self, first: ContactStart, strain_var: float | None = None) -> None:
@@ -211,10 +225,10 @@ class FilterBank:
 
     @property
     def first_sample(self) -> np.ndarray:
-        """The grasp's first sample in contact as the filters use it, (5,): displacement 0."""
+        """The grasp's first sample in contact, (5,), with the columns of `advance`; its displacement is 0."""
         return self._first_sample.copy()
 
-    def find_most_likely(self) -> int:
+    def find_likeliest_filter(self) -> int:
         """Return the index of the filter with the highest likelihood; -1 if all have diverged or lost the data."""
         state = self.state
         followed = [k for k in range(len(state.mean)) if is_tracking(k, state.fit_statistics, state.valid)]
@@ -223,6 +237,10 @@ class FilterBank:
     def compute_mean_nis(self) -> np.ndarray:
         """Return each filter's mean normalized innovation squared over the grasp, (K,); 1 if the model fits."""
         return self.state.fit_statistics[:, NIS_SUM] / max(int(self.state.samples_taken[0]) - 1, 1)
+
+    def compute_recent_nis(self) -> np.ndarray:
+        """Return the running mean NIS of each tissue's likelier filter, (M,); NaN once all have diverged."""
+        return compute_recent_nis(self.state.fit_statistics, self.state.valid, len(self.priors.names))
 
     def advance(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Advance all filters over the samples after the first.
@@ -243,7 +261,7 @@ class FilterBank:
             self._history,
             s.samples_taken,
             self._noises,
-            SECOND_PASS_AT,
+            self.second_pass_at,
             self._guess,
             self._initial_mean,
             self._initial_cov,
@@ -256,6 +274,22 @@ class FilterBank:
             variance,
         )
         return mean, variance
+
+
+@compiled
+def compute_recent_nis(fit: np.ndarray, valid: np.ndarray, tissues: int) -> np.ndarray:
+    """Return the running mean NIS of each tissue's likeliest filter that has not lost the data, else the lowest."""
+    result = np.full(tissues, np.nan)
+    for tissue in range(tissues):
+        best = -1
+        for k in range(tissue, len(fit), tissues):
+            if is_tracking(k, fit, valid) and (best < 0 or fit[k, LOG_LIKELIHOOD] > fit[best, LOG_LIKELIHOOD]):
+                best = k
+            elif best < 0 and valid[k] and not fit[k, NIS_RECENT] > result[tissue]:
+                result[tissue] = fit[k, NIS_RECENT]
+        if best >= 0:
+            result[tissue] = fit[best, NIS_RECENT]
+    return result
 
 
 def build_contact_start(first: np.void, velocity_m_per_s: float, *, contact_sensed: bool) -> ContactStart:

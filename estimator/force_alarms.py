@@ -1,4 +1,4 @@
-"""Force alarms: compare the force with the threshold in force."""
+"""The class ForceAlarmMonitor, which compares the measured force with the injury threshold that counts now."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -33,7 +33,12 @@ class ForceAlarmMonitor:
         self._tissue: str | None = None
 
     def update(self, tick: int, force_n: float, threshold_n: float, threshold_tissue: str | None) -> ForceAlarm | None:
-        """Return the alarm if priority or tissue changed, else None; force and threshold in force in N."""
+        """Return the alarm if its priority or tissue has changed since the last call, else None.
+
+        Args:
+            force_n: jaw force, N.
+            threshold_n: injury threshold, N.
+        """
         share = force_n / threshold_n
         reached = None
         for priority, begin in self._onset_shares.items():

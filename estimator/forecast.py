@@ -1,4 +1,4 @@
-"""Forecast when a rising force reaches a limit."""
+"""The class ForceForecast, which forecasts when a rising force reaches a limit."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Estimation of one grasp: bank, evidence, decision and criteria from contact to the end."""
+"""The class GraspEstimator: bank, evidence, decision and criteria of one grasp, from contact to its end."""
 
 from copy import copy
 from dataclasses import dataclass
@@ -7,7 +7,15 @@ import numpy as np
 
 from acquisition.sample_block import SampleFlag
 from config.schema import IdentificationSettings as Settings
-from estimator.constants import EMPTY_JAWS_TRAVEL_M, FILLED_JAWS_MARGIN_M, JAW_OPENING_SHARE, MIN_PEAK_BEFORE_OPENING_N
+from estimator.constants import (
+    DIVERGED_FORCE_N,
+    DIVERGED_FORCE_RATIO,
+    EMPTY_JAWS_TRAVEL_M,
+    FILLED_JAWS_MARGIN_M,
+    JAW_OPENING_SHARE,
+    MIN_PEAK_BEFORE_OPENING_N,
+    NIS_DIVERGED,
+)
 from estimator.criteria import ForceErrors
 from estimator.decision import NO_ANSWER, NOT_NAMED, UNDECIDED, UNKNOWN, Decision
 from estimator.estimate_block import GraspRecord, finite_or_none
@@ -15,9 +23,10 @@ from estimator.evidence import BankEvidence, GraspLikelihood
 from estimator.filter_bank import BankState, FilterBank, bank_columns, build_contact_start
 from estimator.kalman_filter import PARAMETERS, X
 from estimator.loading.learned_evidence import LearnedGrasp
-from estimator.tissue_model import force_curve
+from estimator.tissue_model import elastic_force_array
 
 ENCODER_SLIPS, SATURATED = SampleFlag.ENCODER_SLIPS.value, SampleFlag.SATURATED.value
+LIMITED = SampleFlag.LIMITED.value
 CHECKPOINT_SAMPLES = 500  # jaw closure may be detected this many samples late
 MIN_CHECKPOINT_SAMPLES = 10  # the first step may end this many samples after contact
 MAX_MISSING_SAMPLES = 5  # a valid grasp misses at most this many samples
@@ -78,6 +87,8 @@ class GraspEstimator:
         self._errors = ForceErrors(len(self.names), settings.convergence_error)
         self._checkpoints: list[_Checkpoint] = []
         self._max_force_n = 0.0  # largest mean force of a step
+        self._peak_sample_n = 0.0  # largest force of a sample in contact
+        self.recent_nis = np.full(len(self.names), np.nan)  # of each tissue's likelier filter
 
     def on_contact(
         self, sample: np.void, before_m: np.ndarray, opening_m: float | None, strain_var: float, *, contact_sensed: bool
@@ -131,7 +142,14 @@ class GraspEstimator:
         estimates["alpha_n"], estimates["beta_per_m"] = parameters[:, :, 0], parameters[:, :, 1]
         estimates["damping_kg_per_s"] = parameters[:, :, 2]
         estimates["log_sd"] = np.sqrt(variance[:, :, PARAMETERS])
-        estimates["force_n"] = force_curve(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, X])
+        estimates["force_n"] = elastic_force_array(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, X])
+        self._peak_sample_n = max(self._peak_sample_n, float(columns[:, 0].max()))
+        diverged = estimates["force_n"] > DIVERGED_FORCE_RATIO * self._peak_sample_n + DIVERGED_FORCE_N
+        for name in ("force_n", "alpha_n", "beta_per_m", "damping_kg_per_s", "log_sd"):
+            estimates[name][diverged] = np.nan
+        nis = self._bank.compute_recent_nis()
+        self.recent_nis = np.where(diverged[-1], np.fmax(nis, NIS_DIVERGED), nis)
+        estimates["nis"] = self.recent_nis
         self._errors.append(estimates["force_n"], columns[:, 0])
         if self.learned_grasp is None:
             self.probabilities = self._evidence.probabilities(self._thickness_log_likelihood)
@@ -218,6 +236,9 @@ class GraspEstimator:
     def probabilities_by_name(self) -> dict[str, float]:
         return dict(zip((*self.names, UNKNOWN), map(float, self.probabilities), strict=True))
 
+    def nis_by_name(self) -> dict[str, float | None]:
+        return dict(zip(self.names, map(finite_or_none, self.recent_nis), strict=True))
+
     def time_to_decision_s(self) -> float | None:
         if self.label in NOT_NAMED:
             return None
@@ -239,7 +260,7 @@ class GraspEstimator:
         rate_hz = self._rate_hz
         label, probabilities = self.label, self.probabilities_by_name()
         parameters = [np.nan] * 3
-        best = self._bank.find_most_likely() if self.contact_tick >= 0 else -1
+        best = self._bank.find_likeliest_filter() if self.contact_tick >= 0 else -1
         if best >= 0:
             parameters = np.exp(self._bank.state.mean[best, PARAMETERS])
         why_invalid = self.find_invalid_reason()
@@ -261,5 +282,6 @@ class GraspEstimator:
             force_error_n=error,
             valid=why_invalid is None,
             why_invalid=why_invalid,
+            held_back=bool(self.flags & LIMITED),
             peak_share_of_limit=finite_or_none(self.peak_share_of_limit),
         )

@@ -1,4 +1,4 @@
-"""One extended Kalman filter on one grasp, compiled.
+"""Compiled functions on the caller's arrays: one step of one extended Kalman filter, and all filters of the bank.
 
 State: [x, x', log alpha, log beta, log d, log m, offset, drift, strain noise]. Logarithms keep parameters positive.
 `offset` is the error of the displacement's zero at contact, m. `drift` is the force by which the tissue has left its
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.compilation import compiled
+from acquisition.compilation import compiled
 from estimator.constants import (
     DRIFT_FLOOR_N,
     EXPONENT_LIMIT,
@@ -233,7 +233,10 @@ def inflate_covariance(cov: np.ndarray, factor: float) -> None:
 
 @compiled
 def is_healthy(mean: np.ndarray, cov: np.ndarray, guess: np.ndarray) -> bool:
-    """Return False if a filter has diverged: not finite, a negative variance, or a parameter far from its guess."""
+    """Return False if a filter has diverged.
+
+    A value is not finite, a variance is negative, a parameter is far from its guess, or beta x would overflow.
+    """
     for j in range(STATE_COUNT):
         if not (math.isfinite(mean[j]) and cov[j, j] >= 0.0):
             return False
@@ -305,7 +308,8 @@ def advance_bank(
     Args:
         history: ring buffer of the grasp's samples so far, (capacity, 6).
         taken: number of samples so far, (1,); the last one is in row (taken - 1) modulo the capacity.
-        second_pass_at: sample counts at which the filters process the grasp again, (m,), at most the capacity.
+        second_pass_at: sample counts at which the filters of each noise process the grasp again, (noises, m), at most
+            the capacity.
         guess, first_mean, first_cov: log parameters (K, 3) and states (K, 9), (K, 9, 9) at the grasp's start, for all
             tissues with the first noise, then all tissues with the next.
         mean, cov, fit, valid: the filters' present state, changed in place.
@@ -326,7 +330,6 @@ def advance_bank(
         sample[IS_RISING] = is_force_rising(history, taken[0], sample[FORCE])
         history[taken[0] % len(history)] = sample
         taken[0] += 1
-        passes = np.any(second_pass_at == taken[0])
         for k in range(len(mean)):
             if not valid[k]:
                 continue
@@ -335,7 +338,7 @@ def advance_bank(
                 mean[k], cov[k], fit[k], mean[k, PARAMETERS_AND_MASS], before, sample, noise, step, rows, gain
             )
             valid[k] = is_healthy(mean[k], cov[k], guess[k])
-            if passes and valid[k]:
+            if valid[k] and np.any(second_pass_at[k // tissues] == taken[0]):
                 again_mean[:], again_cov[:] = first_mean[k], first_cov[k]
                 if repeat_pass(
                     again_mean,
@@ -351,7 +354,7 @@ def advance_bank(
                 ):
                     mean[k], cov[k], fit[k] = again_mean, again_cov, again_fit
         if taken[0] > SURPRISE_MIN_SAMPLES:
-            best = find_most_likely(len(mean) - tissues, len(mean), fit, valid)
+            best = find_likeliest_filter(len(mean) - tissues, len(mean), fit, valid)
             surprise[0] = max(surprise[0], fit[best, NIS_RECENT] if best >= 0 else NIS_DIVERGED)
         for tissue in range(tissues):
             best = -1
@@ -364,7 +367,7 @@ def advance_bank(
 
 
 @compiled
-def find_most_likely(first: int, until: int, fit: np.ndarray, valid: np.ndarray) -> int:
+def find_likeliest_filter(first: int, until: int, fit: np.ndarray, valid: np.ndarray) -> int:
     """Return the valid filter from `first` to before `until` with the highest likelihood; -1 if there is none."""
     best = -1
     for k in range(first, until):

@@ -1,13 +1,14 @@
-"""Turn sample blocks into estimate blocks, from a source's first sample to its last."""
+"""The class TissueEstimator, which turns the sample blocks of a source into estimate blocks, from first to last."""
 
 import math
 from collections import deque
 
 import numpy as np
 
+from acquisition.recordings.file_names import is_reference_run
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
 from acquisition.signals.grasp_tracker import BACKDATING_SAMPLES, COMMAND_CONFIRM_SAMPLES
-from config.schema import Settings, TissueLibrary, Tool
+from config.schema import UNKNOWN_CONDITIONS, Settings, SourceConditions, TissueLibrary, Tool
 from estimator.constants import MIN_REST_SAMPLES, REST_SAMPLES, REST_SETTLING_SAMPLES, REST_VARIANCE_RANGE
 from estimator.decision import NOT_NAMED, UNDECIDED, UNKNOWN
 from estimator.estimate_block import (
@@ -79,10 +80,14 @@ class RestNoiseEstimator:
 
 
 class TissueEstimator:
-    """The estimator's whole state. Call `process` with each block in order, and `finish` after the last one."""
+    """Estimator of all grasps of a source. Call `process` with each block in order, and `finish` after the last one."""
 
-    def __init__(self, tool: Tool, library: TissueLibrary, settings: Settings) -> None:
+    def __init__(
+        self, tool: Tool, library: TissueLibrary, settings: Settings, conditions: SourceConditions = UNKNOWN_CONDITIONS
+    ) -> None:
         """Create the filters and the evidence for a tool and a library.
+
+        `conditions`: those of the source; by default nothing is known of its day.
 
         Raises:
             ConfigurationError: the library was learned with a tool of another calibration.
@@ -92,11 +97,11 @@ class TissueEstimator:
         self._thresholds_n = library.convert_thresholds_to_displayed_n(tool)
         self._lowest_threshold_n = min(self._thresholds_n.values())
         self._settings = settings.identification
-        self._opening_m = tool.geometry.opening_m
+        self._opening_m = tool.opening_m
         self.bank = FilterBank.from_tool(tool, library)
         self.evidence = BankEvidence(self.bank, library, self._settings)
         library.check_tool(tool)
-        self._learned_evidence = LearnedEvidence(library, tool, self._settings) if library.learned else None
+        self._learned_evidence = LearnedEvidence(library, tool, self._settings, conditions) if library.learned else None
         self._names = (*library.tissues, UNKNOWN)
         self._alarm_monitor = ForceAlarmMonitor(settings.warnings)
         self._dtype = estimate_dtype(len(library.tissues))
@@ -163,6 +168,11 @@ class TissueEstimator:
             tuple(withdrawn),
         )
 
+    def use_conditions(self, conditions: SourceConditions) -> None:
+        """Compare later grasps with a learned library under other conditions."""
+        if self._learned_evidence:
+            self._learned_evidence.use_conditions(conditions)
+
     def finish(self) -> GraspRecord | None:
         """Return the record of a grasp that the source's end cut short; None if there is none."""
         if not (self._in_grasp and self._grasp):
@@ -192,7 +202,7 @@ class TissueEstimator:
             self._criteria = (ended[-1].convergence_s, ended[-1].force_error_n)
         if np.bitwise_or.reduce(window[-len(rows) :]["flags"]) & NEW_SPOT:
             self._spots.request(int(last["tick"]), in_grasp=in_grasp)
-        if in_grasp and not self._in_grasp:
+        if in_grasp and not self._in_grasp and not is_reference_run(self._run):
             self._in_grasp = True
             self._spots.on_grasp_start(int(last["grasp_start_tick"]))
             self._criteria = self._empty_criteria()
@@ -334,6 +344,7 @@ class TissueEstimator:
             convergence_s=self._criteria[0],
             force_error_n=self._criteria[1],
             spots=self._spots.verdicts,
+            nis=grasp.nis_by_name() if grasp else {},
         )
 
     def _forecast_time_to_limit_s(self, limit_n: float) -> float | None:

@@ -1,4 +1,4 @@
-"""Spot verdicts: one answer from several grasps on one place of one organ.
+"""The class SpotTracker, which gives spot verdicts: one answer from several grasps on one place of one organ.
 
 Grasps on one spot share its deviation from the tissue. So a further grasp on a spot tells only of the spot; multiplying
 the grasps' likelihoods as if they were independent would soon be sure of what one spot cannot tell.
@@ -31,7 +31,7 @@ class BankSpot:
         return is_evidence
 
     def probabilities(self) -> np.ndarray:
-        return self._evidence.combine(self._grasps)
+        return self._evidence.combine_grasps(self._grasps)
 
 
 class LearnedSpot:

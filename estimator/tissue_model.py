@@ -1,4 +1,4 @@
-"""The tissue model, Eqs. (7) to (11), and its exact local discretization, compiled.
+"""Functions of the tissue model, Eqs. (7) to (11), and of its exact local discretization; most are compiled.
 
 The printed explicit Euler step (19) is unstable for a 5 g mass at 1 ms. Here the local linearization is integrated
 exactly over the step, Eq. (14). The 2x2 matrix exponential of displacement and velocity is in closed form, and the
@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from estimator.compilation import compiled
+from acquisition.compilation import compiled
 from estimator.constants import EXPONENT_LIMIT
 
 
@@ -64,6 +64,9 @@ def step_matrices(
     step[1, 3] = held_x
 
 
-def force_curve(alpha_n: np.ndarray | float, beta_per_m: np.ndarray | float, x_m: np.ndarray) -> np.ndarray:
-    """Return alpha (exp(beta x) - 1) for an array of displacements, N."""
+def elastic_force_array(alpha_n: np.ndarray | float, beta_per_m: np.ndarray | float, x_m: np.ndarray) -> np.ndarray:
+    """Return alpha (exp(beta x) - 1), N, for an array of displacements, m, also where x is negative.
+
+    `elastic_force` takes one number, and continues as a line for x < 0.
+    """
     return alpha_n * np.expm1(np.minimum(beta_per_m * x_m, EXPONENT_LIMIT))

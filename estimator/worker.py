@@ -1,16 +1,17 @@
 """The estimator worker: the process that turns sample blocks into estimate blocks."""
 
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from acquisition import bus
-from acquisition.notices import CompilingFilters, Estimating
+from acquisition.notices import CompilingFilters, Estimating, RunMetadata
 from acquisition.worker_life import begin_worker
 from acquisition.worker_process import apply_realtime
-from config.schema import Settings, TissueLibrary, Tool
+from config.schema import UNKNOWN_CONDITIONS, ReferenceGrasp, Settings, SourceConditions, TissueLibrary, Tool
 from estimator.estimate_block import IdentificationResult
 from estimator.estimate_messages import pack_estimates
 
@@ -31,17 +32,20 @@ class EstimatorSetup:
     library: TissueLibrary
     settings: Settings
 
+    def with_tool(self, tool: Tool) -> Self:
+        return replace(self, tool=tool)
+
 
 def main(setup: EstimatorSetup) -> None:
     """Run the estimator until a signal stops it. Publish a notice when the filters are compiled."""
     with begin_worker("estimator", setup.parent_pid, setup.endpoints.estimates) as life:
-        samples = bus.open_subscriber(life.context, setup.endpoints.samples)
+        samples = bus.open_subscriber(life.context, setup.endpoints.samples, setup.endpoints.events)
         limits = bus.open_publisher(life.context, setup.endpoints.thresholds)
         life.publisher.send_multipart(bus.pack_notice(CompilingFilters()))
         compile_filters(setup)
         granted = apply_realtime(setup.settings.realtime, REALTIME_PRIORITY, core_index=1)
         session = _create_estimator(setup)
-        counter = bus.SequenceTracker()
+        counter, conditions = bus.SequenceTracker(), UNKNOWN_CONDITIONS
         last_ready = 0.0
         while not life.stop.is_set:
             if time.monotonic() - last_ready > 1.0:  # repeated, because a subscriber may connect late
@@ -51,6 +55,9 @@ def main(setup: EstimatorSetup) -> None:
             if not samples.poll(POLL_INTERVAL_MS):
                 continue
             parts = samples.recv_multipart()
+            if parts[0] == bus.NOTICE_TOPIC and isinstance(announced := bus.unpack_notice(parts), RunMetadata):
+                conditions = conditions_of(announced)
+                session.use_conditions(conditions)
             if parts[0] != bus.SAMPLES_TOPIC:
                 continue
             block = bus.unpack_samples(parts)
@@ -58,11 +65,18 @@ def main(setup: EstimatorSetup) -> None:
                 continue
             if counter.is_restart(block.sequence):
                 session = _create_estimator(setup)
+                session.use_conditions(conditions)
             counter.update(block.sequence, block.t_mono_ns)
             estimate = session.process(block)
             # The threshold goes first: the limiter waits for it.
             limits.send(bus.pack_threshold(to_threshold_update(estimate.identification)))
             life.publisher.send_multipart(pack_estimates(estimate, counter.missing))
+
+
+def conditions_of(run: RunMetadata) -> SourceConditions:
+    """Return the conditions of a run that begins now."""
+    reference = ReferenceGrasp.model_validate_json(run.reference) if run.reference else None
+    return SourceConditions(datetime.now(UTC), reference)
 
 
 def compile_filters(setup: EstimatorSetup) -> None:

@@ -1,4 +1,4 @@
-"""The Python client: REST interface and live stream of a service, with the messages of `app/messages/`."""
+"""The class Graspwatch: REST interface and live stream of a service, with the messages of `app/messages/`."""
 
 import asyncio
 import contextlib
@@ -149,7 +149,7 @@ class Graspwatch:
             await self._rest_client.ask(StopAnswer, "POST", f"/api/runs/{run.id}/stop", StopRequest(by=self._by))
 
     async def finished(self, run: Run | str, timeout_s: float | None = None) -> Run:
-        """Wait until a run is over and return it; its `state` says how it ended.
+        """Wait until a run is over, then return it; its `state` says how it ended.
 
         Raises:
             TimeoutError: the run is not over within `timeout_s`; it continues.

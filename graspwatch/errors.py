@@ -1,16 +1,16 @@
-"""The client's errors."""
+"""The errors that the Python client raises."""
 
 
 class ClientError(Exception):
-    """Base of the client's errors."""
+    """Base of the errors that the Python client raises."""
 
 
 class UnreachableError(ClientError):
-    """No service answers at the address, or not in time."""
+    """Error: no service answers at the address, or not in time."""
 
 
 class RefusedError(ClientError):
-    """The service refused the request; the error's text gives the reason.
+    """Error: the service refused the request; the error's text gives the reason.
 
     `status` is the HTTP status (401: no valid token, 403: not permitted, 409: not now, 422: a field is wrong, 503: the
     tool does not answer). `fields` maps each faulty field to its reason.
@@ -22,7 +22,7 @@ class RefusedError(ClientError):
 
 
 class ConnectionLostError(ClientError):
-    """The stream ended, because the service ended or the connection broke. The tool's state is not known any more.
+    """Error: the stream ended, because service or connection ended. The tool's state is not known any more.
 
     `last_event` is the number of the last event received, None if there was none: `messages(after=...)` goes on there.
     """

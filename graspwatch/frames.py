@@ -1,4 +1,4 @@
-"""Frames: measurements and estimates at the full sample rate."""
+"""The class Frame: measurements and estimates of consecutive samples, at the full sample rate."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

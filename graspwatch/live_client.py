@@ -1,4 +1,4 @@
-"""The Python client's side of the live stream: messages and frames of `/api/live`, in order."""
+"""The function that receives the live stream for the Python client: messages and frames of `/api/live`, in order."""
 
 import contextlib
 import ssl
@@ -16,7 +16,7 @@ from app.messages.live import EventMessage, FrameReceived, Hello, ServerMessage,
 from config.network import is_this_computer
 from graspwatch.errors import ConnectionLostError
 from graspwatch.frames import Frame
-from graspwatch.rest_client import refused, unreachable
+from graspwatch.rest_client import build_refused_error, build_unreachable_error
 
 MESSAGE: TypeAdapter[ServerMessage] = TypeAdapter(ServerMessage)
 
@@ -83,9 +83,9 @@ async def _connect(
             proxy=None if is_this_computer(url.host) else True,
         )
     except InvalidStatus as error:
-        raise refused(error.response.status_code, error.response.body or b"") from error
+        raise build_refused_error(error.response.status_code, error.response.body or b"") from error
     except (OSError, InvalidHandshake, TimeoutError) as error:
-        raise unreachable(url, error) from error
+        raise build_unreachable_error(url, error) from error
     try:
         yield socket
     finally:

@@ -1,4 +1,4 @@
-"""REST requests with httpx. Errors carry the service's own message."""
+"""The class RestClient, which sends REST requests with httpx, and functions that build the client's errors."""
 
 from collections.abc import AsyncGenerator
 from http import HTTPStatus
@@ -13,8 +13,8 @@ from graspwatch.errors import RefusedError, UnreachableError
 Answer = TypeVar("Answer")
 
 
-def refused(status: int, content: bytes | bytearray) -> RefusedError:
-    """Convert an error response to a `RefusedError`."""
+def build_refused_error(status: int, content: bytes | bytearray) -> RefusedError:
+    """Return the `RefusedError` for an error response, with the service's own message."""
     try:
         problem = Problem.model_validate_json(content)
     except ValidationError:
@@ -22,7 +22,7 @@ def refused(status: int, content: bytes | bytearray) -> RefusedError:
     return RefusedError(status, problem.detail, {each["field"]: each["message"] for each in problem.errors or []})
 
 
-def unreachable(url: httpx.URL, error: Exception) -> UnreachableError:
+def build_unreachable_error(url: httpx.URL, error: Exception) -> UnreachableError:
     why = str(error) or type(error).__name__
     return UnreachableError(f"Nobody answers at {str(url).rstrip('/')} ({why}): is it running there?")
 
@@ -53,9 +53,9 @@ class RestClient:
         try:
             response = await self._http.request(method, path, **request)
         except httpx.TransportError as error:
-            raise unreachable(self._http.base_url, error) from error
+            raise build_unreachable_error(self._http.base_url, error) from error
         if response.is_error and response.status_code not in fine:
-            raise refused(response.status_code, response.content)
+            raise build_refused_error(response.status_code, response.content)
         return response
 
     async def parts(self, path: str) -> AsyncGenerator[bytes, None]:
@@ -63,8 +63,8 @@ class RestClient:
         try:
             async with self._http.stream("GET", path) as response:
                 if response.is_error:
-                    raise refused(response.status_code, await response.aread())
+                    raise build_refused_error(response.status_code, await response.aread())
                 async for part in response.aiter_bytes():
                     yield part
         except httpx.TransportError as error:
-            raise unreachable(self._http.base_url, error) from error
+            raise build_unreachable_error(self._http.base_url, error) from error

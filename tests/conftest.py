@@ -37,14 +37,10 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run browser tests alone: without a GPU a page takes one core, and its live tool most of another.
-
-    Each module belongs to one worker of xdist.
-    """
+    """Run browser tests alone: without a GPU a page takes one core, and its live tool most of another."""
     for item in items:
         if item.get_closest_marker("browser"):
             item.add_marker(pytest.mark.alone)
-        item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
 
 
 def reactions_of(item: pytest.Item) -> Reactions:

@@ -31,6 +31,7 @@ def record(**changes: Any) -> GraspRecord:
         "peak_displacement_m": 6e-4,
         "valid": True,
         "why_invalid": None,
+        "held_back": False,
     }
     filters = {name: dict.fromkeys(("liver", "bladder"), value) for name, value in each.items()}
     return GraspRecord(**told | filters | changes)

@@ -10,4 +10,5 @@ SIGNALS = {
     "hangs": signal.SIGRTMIN + 2,
     "exception": signal.SIGUSR1,
     "memory hog": signal.SIGUSR2,
+    "fills its error output": signal.SIGRTMIN + 1,
 }

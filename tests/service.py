@@ -19,6 +19,7 @@ import httpx
 import numpy as np
 from websockets.sync.client import connect
 
+from acquisition.recordings.mcap_reader import McapFile
 from app.messages.live import FRAME_HEADER
 
 PROGRAM = Path(sys.executable).with_name("graspwatch")
@@ -68,8 +69,11 @@ class Service:
         line = self.process.stdout.readline()
         found = re.search(r"(https?)://localhost:(\d+)/", line)
         if not found:
-            raise AssertionError(f"no address: {line!r}; {self.process.communicate()[1]}")
+            error = AssertionError(f"no address: {line!r}; {self.process.communicate()[1]}")
+            self._folder.cleanup()
+            raise error
         self.port = int(found[2])
+        self.printed_address = line.split()[1]
         self.url = f"{found[1]}://127.0.0.1:{self.port}"
         self.live_url = f"{found[1].replace('http', 'ws')}://127.0.0.1:{self.port}/api/live"
         self.http = httpx.Client(base_url=self.url, timeout=5.0, verify=self._trust or True)
@@ -84,11 +88,12 @@ class Service:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.http.close()
-        self.end()
-        if self.process.poll() is None:
+        try:
+            self.end()
+        finally:  # a service that hangs must not slow all tests that follow
             self.process.kill()
-        self.process.communicate()
-        self._folder.cleanup()
+            self.process.communicate(timeout=15)
+            self._folder.cleanup()
 
     def ready(self) -> bool:
         try:
@@ -138,6 +143,15 @@ class Service:
             return run if run["state"] != "running" else None
 
         return until(over, timeout_s)
+
+    def recording_file(self, run_id: str) -> Path:
+        return self.data / "recordings" / f"{run_id}.mcap"
+
+    def recorded(self, run_id: str) -> Path:
+        """The run's file once it is whole."""
+        path = self.recording_file(run_id)
+        until(lambda: path.exists() and McapFile(path).complete)
+        return path
 
 
 class Listener:

@@ -37,6 +37,13 @@ def simulate_raw(
     return cut(drive(grasper, commands), range(0, len(commands), tool.board.block_samples))
 
 
+def simulated_recording_tool() -> Tool:
+    """Return the simulated tool with the newtons of `smart_tool_2013`, which reads LabVIEW recordings."""
+    simulated, scale = load_tool("simulated"), load_tool("smart_tool_2013").calibration.jaw_force_scale
+    calibration = simulated.calibration.model_copy(update={"jaw_force_scale": scale})
+    return simulated.model_copy(update={"calibration": calibration})
+
+
 class WatchedGrasper(SimulatedGrasper):
     """A simulated grasper that keeps the true jaw force of every sample, N."""
 

@@ -1,9 +1,9 @@
-"""Tool files with newly fitted constants."""
+"""The function that writes a tool file with newly fitted constants."""
 
 from datetime import date, timedelta
 from pathlib import Path
 
-from acquisition.bench.fits import CalibrationFit
+from acquisition.bench.fits import FORCE_SCALE_UNITS, CalibrationFit
 from config.schema import FORCE_SCALE_KEY, ConstantMeasurement, ForceScale
 from config.writing import write_calibrated_tool
 
@@ -20,6 +20,7 @@ def write_calibration_file(fit: CalibrationFit, tool: str, person: str, valid_da
     for each in fit.constants:
         if each.key == f"calibration.{FORCE_SCALE_KEY}":
             values[each.key] = ForceScale(
+                law=next(law for law, unit in FORCE_SCALE_UNITS.items() if unit == each.unit),
                 value=each.value,
                 low=each.low,
                 high=each.high,

@@ -1,4 +1,4 @@
-"""Checks of measured signals. A failure names the most likely mistake and what to do."""
+"""Functions that check signals and return a CheckResult; a failure's text names the likely mistake and what to do."""
 
 import datetime
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ import numpy as np
 
 from acquisition.drivers.nidaq import READ_TIMEOUT_MARGIN_S, BoardInfo
 from acquisition.safety.self_test import MAX_REST_MOTION_DEG, compute_noise_range_v
-from acquisition.signal_table import find_wired_inputs
+from acquisition.signal_table import find_analog_inputs
 from acquisition.signals.grasp_tracker import COMMAND_ON_V
 from config.schema import CALIBRATION_COMMANDS, FORCE_SCALE_KEY, Tool
 
@@ -45,7 +45,7 @@ class CheckResult:
 
 @dataclass(frozen=True, slots=True)
 class RawSignals:
-    """Raw signals over a time, each of shape (n,); V and degrees."""
+    """Raw signals of n consecutive samples, each of shape (n,): volts, and degrees of the encoder."""
 
     strain_v: np.ndarray
     readback_v: np.ndarray
@@ -54,7 +54,7 @@ class RawSignals:
 
 
 def check_product(board: BoardInfo, tool: Tool) -> CheckResult:
-    """Check that the board is the one that the tool file is written for."""
+    """Check that the board is the one that the tool file is written for; return the result."""
     check, wanted = "board", tool.board.product
     if board.product == wanted:
         return CheckResult(check, CheckOutcome.PASS, f"{tool.board.device} is a {board.product}")
@@ -65,13 +65,13 @@ def check_product(board: BoardInfo, tool: Tool) -> CheckResult:
     return CheckResult(check, CheckOutcome.FAIL, text)
 
 
-def check_channel_settings(board: BoardInfo, tool: Tool) -> CheckResult:
-    """Check that the board has the channels and the range that the tool file names."""
+def check_channels_exist(board: BoardInfo, tool: Tool) -> CheckResult:
+    """Check that the board has the channels and the range of the tool file, and no input twice; return the result."""
     check, named = "channels", tool.channels
-    inputs = list(find_wired_inputs(named).values())
+    inputs = list(find_analog_inputs(named).values())
     missing = [each for each in inputs if each not in board.analog_inputs]
-    missing += [named.motor_command] * (named.motor_command not in board.analog_outputs)
-    missing += [named.encoder] * (named.encoder not in board.counters)
+    missing += [named.motor_command] * (named.motor_command not in ("", *board.analog_outputs))
+    missing += [named.encoder] * (named.encoder not in ("", *board.counters))
     if missing:
         there = ", ".join((*board.analog_inputs, *board.analog_outputs, *board.counters))
         text = f"the board has no {', '.join(missing)}: correct the names under [channels]. It has {there}."
@@ -83,13 +83,12 @@ def check_channel_settings(board: BoardInfo, tool: Tool) -> CheckResult:
         ranges = ", ".join(f"{each:g}" for each in sorted(set(board.input_ranges_v)))
         text = f"the board has no range of {named.analog_range_v:g} V: set `analog_range_v` to one of {ranges} V."
         return CheckResult(check, CheckOutcome.FAIL, text)
-    return CheckResult(
-        check, CheckOutcome.PASS, f"{len(inputs)} inputs up to {named.analog_range_v:g} V, output, encoder"
-    )
+    others = ", output" * bool(named.motor_command) + ", encoder" * bool(named.encoder)
+    return CheckResult(check, CheckOutcome.PASS, f"{len(inputs)} inputs up to {named.analog_range_v:g} V{others}")
 
 
 def check_calibration(tool: Tool, today: datetime.date) -> CheckResult:
-    """Check that no constant of the tool has expired."""
+    """Check that no constant of the tool has expired; return the result."""
     check = "calibration"
     if expired := tool.find_expired_constants(today):
         names = ", ".join(f"{each.constant} of {each.date}, on {each.expires}" for each in expired)
@@ -106,7 +105,7 @@ def check_calibration(tool: Tool, today: datetime.date) -> CheckResult:
 
 
 def check_force_scale(tool: Tool) -> CheckResult:
-    """Check that the tool's force scale is measured."""
+    """Check that the tool's force scale is measured; return the result."""
     check = "force scale"
     if tool.has_known_scale:
         return CheckResult(check, CheckOutcome.PASS, tool.scale_text)
@@ -117,7 +116,7 @@ def check_force_scale(tool: Tool) -> CheckResult:
     return CheckResult(check, CheckOutcome.FAIL, text)
 
 
-def lateness_ms(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.ndarray]:
+def measure_rate_and_lateness(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the measured sample rate, Hz, and each block's delay behind the most punctual one, ms, sorted, (n,)."""
     measured_hz = 1e9 / float(np.polyfit(ticks, arrived_ns - arrived_ns[0], 1)[0])
     behind_ns = arrived_ns - ticks * (1e9 / measured_hz)
@@ -125,9 +124,12 @@ def lateness_ms(ticks: np.ndarray, arrived_ns: np.ndarray) -> tuple[float, np.nd
 
 
 def check_sample_clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float) -> CheckResult:
-    """Check rate and lateness of blocks by the tick after their last sample and their time of reading, (n,) each."""
+    """Check the rate and lateness of n blocks; return the result.
+
+    Of each block: `ticks`, (n,), is the tick after its last sample, `arrived_ns`, (n,), its time of reading, ns.
+    """
     check = "sample clock"
-    measured_hz, late_ms = lateness_ms(ticks, arrived_ns)
+    measured_hz, late_ms = measure_rate_and_lateness(ticks, arrived_ns)
     figures = {
         "rate_hz": measured_hz,
         "late_median_ms": float(np.median(late_ms)),
@@ -155,7 +157,7 @@ def check_sample_clock(ticks: np.ndarray, arrived_ns: np.ndarray, rate_hz: float
 
 
 def check_strain(rest: RawSignals, tool: Tool) -> CheckResult:
-    """Check the strain gage with the motor at zero and the jaws open."""
+    """Check the strain gage with the motor at zero and the jaws open; return the result."""
     check, calibration, volts = "strain gage at rest", tool.calibration, rest.strain_v
     mean_v, sd_v, (least_v, most_v) = float(volts.mean()), float(volts.std()), compute_noise_range_v(tool)
     figures = {"rest_v": mean_v, "noise_v": sd_v}
@@ -194,7 +196,7 @@ def _find_swapped_channel(rest: RawSignals, tool: Tool) -> str | None:
         f"the motor command read back ({channels.motor_command_readback})": rest.readback_v,
         f"touch sensor 1 ({channels.touch[0]})": rest.touch_v[0],
         f"touch sensor 2 ({channels.touch[1]})": rest.touch_v[1],
-    }
+    }  # NaN without such a channel, which looks like nothing
     if _looks_like_strain(rest.strain_v, tool):
         return None
     return next((name for name, volts in others.items() if _looks_like_strain(volts, tool)), None)
@@ -214,7 +216,7 @@ def _compute_mains_share(volts: np.ndarray, rate_hz: float) -> float:
 
 
 def check_command_at_zero(rest: RawSignals, tool: Tool) -> CheckResult:
-    """Check the read-back of the motor command with the motor at zero."""
+    """Check the read-back of the motor command with the motor at zero; return the result."""
     check, most_v = "motor at zero", float(np.abs(rest.readback_v).max())
     if most_v < COMMAND_ON_V:
         return CheckResult(
@@ -237,8 +239,10 @@ def check_encoder_at_rest(rest: RawSignals) -> CheckResult:
 
 
 def check_touch_sensors(rest: RawSignals, tool: Tool) -> CheckResult:
-    """Check the touch sensors with the jaws open and empty."""
+    """Check the touch sensors with the jaws open and empty; return the result."""
     check, threshold_v = "touch sensors at rest", tool.contact.touch_threshold_v
+    if not any(tool.channels.touch):
+        return CheckResult(check, CheckOutcome.NOT_DONE, "the tool has none")
     levels_v = [float(np.median(volts)) for volts in rest.touch_v]
     figures = {"touch_1_v": levels_v[0], "touch_2_v": levels_v[1]}
     found = f"they read {levels_v[0]:.1f} and {levels_v[1]:.1f} V"
@@ -250,7 +254,7 @@ def check_touch_sensors(rest: RawSignals, tool: Tool) -> CheckResult:
 
 
 def check_readback(commands_v: np.ndarray, readback_v: np.ndarray, tool: Tool) -> CheckResult:
-    """Check the mean read-back against the command at several levels, (n,) each."""
+    """Check the mean read-back against the command at several levels, V, (n,) each; return the result."""
     check, channels = "motor command read back", tool.channels
     gain, offset_v = (float(value) for value in np.polyfit(commands_v, readback_v, 1))
     figures = {"gain": gain, "offset_v": offset_v}
@@ -271,7 +275,7 @@ def check_readback(commands_v: np.ndarray, readback_v: np.ndarray, tool: Tool) -
 
 
 def check_round_trip(samples: int, tool: Tool) -> CheckResult:
-    """Check the samples between the last known one at a command's write and its read-back."""
+    """Check how many samples pass from the last known one at a command's write to its read-back; return the result."""
     check, took_ms = "round trip", 1e3 * samples / tool.board.sample_rate_hz
     figures = {"delay_ms": took_ms}
     if took_ms <= MAX_ROUND_TRIP_MS:
@@ -287,7 +291,7 @@ def check_round_trip(samples: int, tool: Tool) -> CheckResult:
 
 
 def check_encoder_direction(turned_deg: float, tool: Tool) -> CheckResult:
-    """Check how far the encoder turned while the jaws closed."""
+    """Check by how many degrees the encoder turned while the jaws closed; return the result."""
     check, figures, name = "encoder direction", {"turned_deg": turned_deg}, tool.channels.encoder
     if turned_deg >= MIN_TURN_DEG:
         return CheckResult(check, CheckOutcome.PASS, f"closing turns it by {turned_deg:+.0f} degrees", figures)
@@ -302,8 +306,11 @@ def check_encoder_direction(turned_deg: float, tool: Tool) -> CheckResult:
 
 
 def check_encoder_scale(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> CheckResult:
-    """Check the cable's stretch per volt, Eq. (3), from means at several levels of force on shut jaws, (n,) each."""
-    check, expected = "encoder scale", tool.calibration.encoder_deg_per_volt
+    """Check the cable's stretch, degrees per volt, Eq. (3); return the result.
+
+    `strain_v` and `encoder_deg`, (n,) each, are means at several levels of force on shut jaws.
+    """
+    check, expected = "encoder scale", tool.stretch_deg_per_volt
     if np.ptp(strain_v) < MIN_STRAIN_CHANGE_V or not expected:
         return CheckResult(
             check, CheckOutcome.NOT_DONE, "the strain changed too little with the jaws shut to judge by it"

@@ -1,4 +1,4 @@
-"""Fits of a tool's constants from bench measurements, with confidence intervals; bad fits are refused.
+"""Functions that fit a tool's constants to bench measurements, with confidence intervals; they refuse bad fits.
 
 All are least squares with Student's t: the scatter comes from the readings, not from an assumed noise.
 """
@@ -13,7 +13,7 @@ from acquisition.bench.checks import SATURATION_SHARE, RawSignals
 from acquisition.safety.self_test import MAX_REST_MOTION_DEG, compute_noise_range_v
 from acquisition.signals.calibration import compute_jaw_signals
 from config.errors import CalibrationError
-from config.schema import EQ2_AS_PRINTED, FORCE_SCALE_KEY, ForceScale, Tool
+from config.schema import FORCE_SCALE_KEY, ForceLaw, ForceScale, SmartToolKinematics, Tool
 
 CONFIDENCE = 0.95
 REST_SEGMENTS = 20  # of a reading at rest: their means scatter as slowly as the offset drifts
@@ -51,7 +51,7 @@ class FittedConstant:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFit:
-    """Result of a calibration, with the points and the line of its plot."""
+    """Result of a calibration: the fitted constants, and the points and the line of its plot."""
 
     constants: tuple[FittedConstant, ...]
     points: tuple[np.ndarray, np.ndarray]
@@ -61,7 +61,7 @@ class CalibrationFit:
 
 
 def read_current_value(constant: FittedConstant, tool: Tool) -> float | None:
-    """Return the constant's value in the tool file."""
+    """Return the value that the tool has for a fitted constant at present; None if it has none."""
     table, key = constant.key.split(".")
     found = getattr(getattr(tool, table), key)
     return found.value if isinstance(found, ForceScale) else found
@@ -169,7 +169,7 @@ def fit_strain(weights_n: Sequence[float] | np.ndarray, readings: Sequence[RawSi
 
 
 def check_pulls(weights_n: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the pulls as an array.
+    """Return the pulls on the handle, N, as an array.
 
     Raises:
         CalibrationError: there are too few, or impossible ones.
@@ -185,10 +185,14 @@ def check_pulls(weights_n: Sequence[float] | np.ndarray) -> np.ndarray:
     return pulls_n
 
 
+FORCE_SCALE_UNITS = {ForceLaw.EQUATION_2: "of Eq. (2)", ForceLaw.CONSTANT: "N/V"}
+_FORCE_SCALE_AXES = {ForceLaw.EQUATION_2: "Eq. (2) as printed, N", ForceLaw.CONSTANT: "strain over rest, V"}
+
+
 def fit_force_scale(
     forces_n: Sequence[float] | np.ndarray, readings: Sequence[RawSignals], tool: Tool, load_cell_error: float
 ) -> CalibrationFit:
-    """Fit the force scale to known forces between the jaws, N: the jaw force is Eq. (2) times the scale.
+    """Fit the force scale to known forces between the jaws, N, by the law of the tool file's scale.
 
     Args:
         forces_n: force that a load cell between the jaws showed at each reading. The first is 0, with open jaws.
@@ -204,7 +208,9 @@ def fit_force_scale(
         check_steady(reading, f"{force_n:g} N", tool)
     strain_v = np.array([float(reading.strain_v.mean()) for reading in readings])
     encoder_deg = np.array([float(reading.encoder_deg.mean()) for reading in readings])
-    unscaled = tool.calibration.model_copy(update={FORCE_SCALE_KEY: EQ2_AS_PRINTED})
+    scale = tool.calibration.jaw_force_scale
+    unit_scale = scale.model_copy(update={"value": 1.0, "low": 1.0, "high": 1.0})
+    unscaled = tool.calibration.model_copy(update={FORCE_SCALE_KEY: unit_scale})
     jaws = compute_jaw_signals(
         tool.model_copy(update={"calibration": unscaled}), strain_v - strain_v[0], encoder_deg - encoder_deg[0]
     )
@@ -214,21 +220,21 @@ def fit_force_scale(
             f"At {worst_n:g} N the linkage of the tool file cannot be where the encoder says: calibrate stretch and "
             "geometry before, and do not turn the tool off between the readings."
         )
-    scale, intercept_n, scale_se = _fit_line(jaws.force_n, known_n)
-    left_n = known_n - (intercept_n + scale * jaws.force_n)
+    value, intercept_n, value_se = _fit_line(jaws.force_n, known_n)
+    left_n = known_n - (intercept_n + value * jaws.force_n)
     worst = int(np.abs(left_n).argmax())
-    if not scale > 0 or abs(left_n[worst]) > MAX_SCALE_RESIDUAL_SHARE * float(np.ptp(known_n)):
+    if not value > 0 or abs(left_n[worst]) > MAX_SCALE_RESIDUAL_SHARE * float(np.ptp(known_n)):
         raise CalibrationError(
             f"The reading at {known_n[worst]:g} N is not in proportion to the others: the load cell shifted or was "
             "read wrong, or a joint rubs. Oil the joints, and repeat."
         )
-    half = _compute_student_quantile(len(known_n) - 2) * scale_se
+    half = _compute_student_quantile(len(known_n) - 2) * value_se
     constant = FittedConstant(
         f"calibration.{FORCE_SCALE_KEY}",
-        scale,
-        (scale - half) * (1 - load_cell_error),
-        (scale + half) * (1 + load_cell_error),
-        "of Eq. (2)",
+        value,
+        (value - half) * (1 - load_cell_error),
+        (value + half) * (1 + load_cell_error),
+        FORCE_SCALE_UNITS[scale.law],
         float(np.sqrt(np.mean(left_n**2))),
         "N",
         len(known_n),
@@ -238,13 +244,13 @@ def fit_force_scale(
     return CalibrationFit(
         (constant,),
         (jaws.force_n, known_n),
-        (along_n, intercept_n + scale * along_n),
-        ("Eq. (2) as printed, N", "force between the jaws by the load cell, N"),
+        (along_n, intercept_n + value * along_n),
+        (_FORCE_SCALE_AXES[scale.law], "force between the jaws by the load cell, N"),
     )
 
 
 def check_jaw_forces(forces_n: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the forces as an array.
+    """Return the forces between the jaws, N, as an array.
 
     Raises:
         CalibrationError: there are too few, or impossible ones, or the first one is not 0.
@@ -260,15 +266,15 @@ def check_jaw_forces(forces_n: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True)
-class LoadingPass:
-    """Strain voltage and encoder angle while the force on shut jaws went one way, each of shape (n,)."""
+class ForcePass:
+    """Strain voltage, V, and encoder angle, degrees, while the force on shut jaws rose or fell; (n,) each."""
 
     strain_v: np.ndarray
     encoder_deg: np.ndarray
 
 
-def fit_stretch(passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
-    """Fit Eq. (3) on shut jaws: the encoder's turn per volt, as the mean of one slope a pass.
+def fit_cable_stretch_lines(passes: Sequence[ForcePass], tool: Tool) -> list[tuple[float, float, float]]:
+    """Fit the encoder's turn over the strain on shut jaws: slope (deg/V), value at zero, and its error, of each pass.
 
     Raises:
         CalibrationError: something yields between the jaws, the encoder slips, or the passes disagree.
@@ -282,7 +288,7 @@ def fit_stretch(passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
     lines = [_fit_line(each.strain_v, each.encoder_deg) for each in passes]
     slopes = np.array([slope for slope, _, _ in lines])
     value, sd = float(slopes.mean()), float(slopes.std(ddof=1))
-    expected = tool.calibration.encoder_deg_per_volt
+    expected = tool.stretch_deg_per_volt
     found = f"The cable stretches by {value:.1f} deg/V"
     if expected and value < MIN_STRETCH_SHARE * expected:
         raise CalibrationError(
@@ -294,12 +300,21 @@ def fit_stretch(passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
             f"{found}, but scatters by {sd:.1f} from pass to pass: the jaws were not shut each time, or the encoder "
             "slips. Empty the jaws, and repeat."
         )
-    bend = float(np.median([_compute_curvature_share(each) for each in passes]))
-    if abs(bend) > MAX_CURVATURE_SHARE:
+    bends = np.array([_compute_curvature_share(each) for each in passes])
+    bend, bend_error = float(np.median(bends)), float(bends.std(ddof=1)) / np.sqrt(len(bends))
+    if abs(bend) > MAX_CURVATURE_SHARE + 2.0 * bend_error:  # noise alone bends the line of a weak drive
         raise CalibrationError(
             f"{found}, and {abs(bend):.0%} {'less' if bend < 0 else 'more'} at the higher forces: something between "
             "the jaws yields, or they are not shut. Empty them, and repeat."
         )
+    return lines
+
+
+def fit_cable_stretch(passes: Sequence[ForcePass], tool: Tool) -> CalibrationFit:
+    """Fit Eq. (3) on shut jaws: the encoder's turn per volt, as the mean of one slope a pass; raises as they do."""
+    lines = fit_cable_stretch_lines(passes, tool)
+    slopes = np.array([slope for slope, _, _ in lines])
+    value, sd = float(slopes.mean()), float(slopes.std(ddof=1))
     half = _compute_student_quantile(len(passes) - 1) * sd / np.sqrt(len(passes))
     left_deg = np.concatenate(
         [each.encoder_deg - (at + slope * each.strain_v) for each, (slope, at, _) in zip(passes, lines, strict=True)]
@@ -318,7 +333,20 @@ def fit_stretch(passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
     )
 
 
-def fit_geometry(gauges_m: Sequence[float] | np.ndarray, passes: Sequence[LoadingPass], tool: Tool) -> CalibrationFit:
+def check_has_linkage(tool: Tool, what: str) -> None:
+    """Check that a tool has the constant that `calibrate strain`, `stretch` or `geometry` measures.
+
+    Raises:
+        CalibrationError: it has other kinematics than the Smart Tool's.
+    """
+    if not isinstance(tool.kinematics, SmartToolKinematics):
+        raise CalibrationError(
+            f"`calibrate {what}` is for the kinematics `smart_tool`; those of {tool.name!r} are "
+            f"{tool.kinematics.kind!r}. Measure the constants of [kinematics] yourself, and write them into the file."
+        )
+
+
+def fit_geometry(gauges_m: Sequence[float] | np.ndarray, passes: Sequence[ForcePass], tool: Tool) -> CalibrationFit:
     """Fit the opening of the jaws and the ratio of handle to encoder, Eqs. (4) to (6), to gauges of known thickness.
 
     Args:
@@ -331,7 +359,7 @@ def fit_geometry(gauges_m: Sequence[float] | np.ndarray, passes: Sequence[Loadin
     from scipy.optimize import least_squares  # takes a while, and the service needs it only here
 
     thick_m = check_gauges(gauges_m)
-    stretch_deg = tool.calibration.encoder_deg_per_volt
+    stretch_deg = tool.stretch_deg_per_volt
     turned_deg = np.array([float(np.mean(p.encoder_deg - stretch_deg * p.strain_v)) for p in passes])
     order = np.argsort(-thick_m, kind="stable")
     for thicker, thinner in pairwise(order):
@@ -393,7 +421,7 @@ def fit_geometry(gauges_m: Sequence[float] | np.ndarray, passes: Sequence[Loadin
 
 
 def check_gauges(gauges_m: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the thicknesses as an array.
+    """Return the thicknesses of the gauges, m, as an array.
 
     Raises:
         CalibrationError: there are too few, or impossible ones.
@@ -447,7 +475,7 @@ def _check_numbers(*signals: np.ndarray) -> None:
         raise CalibrationError("A sensor gives no number: check its cable with `graspwatch check`, and repeat.")
 
 
-def _compute_curvature_share(each: LoadingPass) -> float:
+def _compute_curvature_share(each: ForcePass) -> float:
     """Return the change of slope between the middles of both halves of the strain, as a share of the slope."""
     middle_v, half_v = (each.strain_v.max() + each.strain_v.min()) / 2, np.ptp(each.strain_v) / 2
     quadratic, slope, _ = np.polyfit((each.strain_v - middle_v) / half_v, each.encoder_deg, 2)

@@ -1,4 +1,4 @@
-"""Motion of empty jaws for checks: shut gently, hold levels of force, open."""
+"""The class EmptyJaws, which drives the empty jaws of an open board step by step for `graspwatch check`."""
 
 import contextlib
 import multiprocessing
@@ -12,8 +12,9 @@ from acquisition.bench.checks import RawSignals
 from acquisition.drivers.command_history import AppliedCommand
 from acquisition.drivers.nidaq import NidaqSource, read_driver_version, reset_device
 from acquisition.drivers.source import RawBlock
+from acquisition.worker_process import start_child_process
 from config.errors import ToolError
-from config.schema import Tool, ToolKind
+from config.schema import Tool
 
 CLOSING_COMMAND_V = 0.5
 """0.8 N on the Smart Tool, a third of the lowest injury threshold."""
@@ -26,7 +27,7 @@ MAX_STRAIN_V = 0.4
 
 
 class EmptyJaws:
-    """The empty jaws of an open tool, whose strain gage rests at `rest_v`."""
+    """The empty jaws of an open board, which its methods drive. `rest_v` is the strain gage's voltage at rest."""
 
     def __init__(self, source: NidaqSource, tool: Tool, rest_v: float) -> None:
         self._source, self._tool, self._rest_v = source, tool, rest_v
@@ -49,7 +50,7 @@ class EmptyJaws:
         return block
 
     def close(self) -> float:
-        """Close until the encoder stands still; return its angle, degrees."""
+        """Close the jaws until the encoder stands still; return its angle, degrees."""
         written, last_deg, still = self._source.write_command(0.0), float("inf"), 0
         for _ in range(convert_seconds_to_blocks(CLOSING_TIMEOUT_S, self._tool)):
             if written.command_v < CLOSING_COMMAND_V:
@@ -64,7 +65,7 @@ class EmptyJaws:
         return last_deg
 
     def settle_at(self, level_v: float) -> RawSignals:
-        """Return the signals after the command has settled at a level."""
+        """Hold the motor command at a level, V; return the signals after the command has settled."""
         written = self._source.write_command(level_v)
         return read_settled(written, self.read_block)
 
@@ -75,7 +76,7 @@ def is_before_command(block: RawBlock, written: AppliedCommand) -> bool:
 
 
 def read_settled(written: AppliedCommand, read: Callable[[], RawBlock]) -> RawSignals:
-    """Return the next signals that were taken once the command had settled."""
+    """Wait until a command has taken effect, skip `SETTLING_BLOCKS`, and return the rest of `LEVEL_BLOCKS`."""
     while is_before_command(block := read(), written):
         pass
     return concatenate_signals([block, *(read() for _ in range(LEVEL_BLOCKS - 1))][SETTLING_BLOCKS:])
@@ -86,7 +87,7 @@ def convert_seconds_to_blocks(seconds: float, tool: Tool) -> int:
 
 
 def concatenate_signals(blocks: list[RawBlock]) -> RawSignals:
-    """Return the signals of consecutive blocks as one."""
+    """Return the signals of consecutive raw blocks in one RawSignals."""
 
     def of(name: str) -> np.ndarray:
         return np.concatenate([block.signals[name] for block in blocks])
@@ -97,12 +98,11 @@ def concatenate_signals(blocks: list[RawBlock]) -> RawSignals:
 @contextlib.contextmanager
 def zero_on_process_death(tool: Tool) -> Iterator[None]:
     """Run a process inside the `with` block that resets the board if this one is killed: the board holds its output."""
-    if tool.kind is not ToolKind.NIDAQ:
+    if not tool.has_real_motor:
         yield  # a simulated board ends with the process
         return
     near, far = multiprocessing.Pipe()
-    watcher = multiprocessing.get_context("spawn").Process(target=_reset_on_broken_pipe, args=(tool, far))
-    watcher.start()
+    watcher = start_child_process("graspwatch-watcher", _reset_on_broken_pipe, tool, far)
     far.close()
     near.recv()
     try:
@@ -113,7 +113,8 @@ def zero_on_process_death(tool: Tool) -> Iterator[None]:
 
 
 def _reset_on_broken_pipe(tool: Tool, line: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C is for the watched process
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they are for the watched process
+        signal.signal(number, signal.SIG_IGN)
     read_driver_version(tool)  # connects to the board's server, so that a reset is quick
     line.send("watching")
     try:

@@ -1,4 +1,4 @@
-"""Measurement of how late blocks are read and conditioned, in a separate process with the settings of `[realtime]`."""
+"""Functions that measure how late blocks are read and conditioned, in a process with the settings of `[realtime]`."""
 
 import multiprocessing
 import os
@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from acquisition.acquisition_loop import AcquisitionController
-from acquisition.bench.checks import lateness_ms
+from acquisition.bench.checks import measure_rate_and_lateness
 from acquisition.bench.jaw_motion import convert_seconds_to_blocks
-from acquisition.drivers.nidaq import NidaqSource
-from acquisition.worker_process import RealtimeGrant, apply_realtime
+from acquisition.drivers.source import LiveSource
+from acquisition.worker_process import RealtimeGrant, apply_realtime, start_child_process
 from config.errors import ToolError
 from config.schema import RealtimeSettings, Settings, TissueLibrary, Tool
 
 SETTLING_S = 1.0
-ToolOpener = Callable[[Tool, TissueLibrary, str, int], tuple[NidaqSource, Any]]
+ToolOpener = Callable[[Tool, TissueLibrary, str, int], tuple[LiveSource, Any]]
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99_9": 0.999, "longest": 1.0}
 
 
@@ -43,17 +43,15 @@ def measure_jitter(
     priority: int,
     seconds: float,
 ) -> Jitter:
-    """Measure the lateness of a tool at rest, motor at zero; `priority` is the acquisition's.
+    """Measure how late the blocks of a tool at rest are read, motor at zero; `priority` is the acquisition's.
 
     Raises:
         ToolError: the tool cannot be opened.
     """
     near, far = multiprocessing.Pipe()
-    context = multiprocessing.get_context("spawn")
-    process = context.Process(
-        target=_measure_in_process, args=(open_tool, tool, library, settings, requested, priority, seconds, far)
+    process = start_child_process(
+        "graspwatch-jitter", _measure_in_process, open_tool, tool, library, settings, requested, priority, seconds, far
     )
-    process.start()
     far.close()
     try:
         found = near.recv()
@@ -96,13 +94,13 @@ def _measure_in_process(
     if granted is None or blocks < 2:
         line.send(ended)
         return
-    late_ms = lateness_ms(ticks[:blocks], done_ns[:blocks])[1]
+    late_ms = measure_rate_and_lateness(ticks[:blocks], done_ns[:blocks])[1]
     quantiles = {name: float(np.quantile(late_ms, at)) for name, at in QUANTILES.items()}
     line.send(Jitter(quantiles, blocks, str(granted), ended))
 
 
 @contextmanager
-def cpu_load(on: bool) -> Iterator[None]:
+def keep_cores_busy(on: bool) -> Iterator[None]:
     """If `on`, keep every CPU core busy inside the `with` block, each with an endless computation."""
     context = multiprocessing.get_context("spawn")
     programs = [

@@ -1,4 +1,4 @@
-"""Check of a tool from its driver to its jaws; the jaws do not move before the user agrees."""
+"""The class HardwareCheck: checks of a tool from its driver to its jaws, which move only once the user agrees."""
 
 import contextlib
 import datetime
@@ -27,6 +27,7 @@ LEVELS_V = (0.5, 0.4, 0.3, 0.2, 0.1)
 AT_REST_CHECKS = ("sample clock", "strain gage at rest", "motor at zero", "encoder at rest", "touch sensors at rest")
 MOVING_CHECKS = ("motor command read back", "round trip", "encoder direction", "encoder scale")
 ZERO_AFTERWARDS_CHECK = "motor at zero afterwards"
+NO_MOTOR_RESULT = CheckResult("motor at zero", CheckOutcome.NOT_DONE, "the tool has no motor")
 CONSTANT_CHECKS = ("calibration", "force scale")  # these do not concern the wiring
 
 
@@ -78,7 +79,7 @@ class HardwareCheck:
             yield from _skip_checks(("channels",), "board")
             return
         yield checks.check_product(board, self._tool)
-        yield checks.check_channel_settings(board, self._tool)
+        yield checks.check_channels_exist(board, self._tool)
         yield checks.check_calibration(self._tool, datetime.date.today())
         yield checks.check_force_scale(self._tool)
 
@@ -93,12 +94,16 @@ class HardwareCheck:
                 ticks, np.array([block.t_mono_ns for block in blocks]), tool.board.sample_rate_hz
             ),
             checks.check_strain(rest, tool),
-            checks.check_command_at_zero(rest, tool),
+            checks.check_command_at_zero(rest, tool) if tool.has_motor else NO_MOTOR_RESULT,
             checks.check_encoder_at_rest(rest),
             checks.check_touch_sensors(rest, tool),
         ):
             yield finding
             failed += [finding.check] if finding.outcome is CheckOutcome.FAIL else []
+        if not tool.has_motor:
+            for each in (*MOVING_CHECKS, ZERO_AFTERWARDS_CHECK):
+                yield replace(NO_MOTOR_RESULT, check=each)
+            return
         if failed:
             yield from _skip_checks(MOVING_CHECKS, failed[0])
         elif not may_move():

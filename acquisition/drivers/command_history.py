@@ -1,4 +1,4 @@
-"""The motor command of each sample, by the board's own count of samples instead of the reader's.
+"""The class CommandHistory: the motor command of each sample, by the board's own count of samples.
 
 A reader that lags reads samples taken under commands that have been replaced since. So each write is kept with the
 ticks between which it took effect, and each sample is compared with the command of its own tick.

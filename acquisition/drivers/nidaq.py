@@ -1,4 +1,4 @@
-"""The driver of NI boards through NI's own package: the same code for real and simulated boards."""
+"""The class NidaqSource, the driver of real and simulated NI boards, and functions that query or reset a board."""
 
 import contextlib
 import functools
@@ -22,7 +22,7 @@ from nidaqmx.system import Device, System
 
 from acquisition.drivers.command_history import AppliedCommand, SampleCountReading
 from acquisition.drivers.source import RawBlock
-from acquisition.signal_table import SENSOR_SIGNALS, find_wired_inputs
+from acquisition.signal_table import SENSOR_SIGNALS, find_analog_inputs
 from config.errors import RefusedError, ToolError
 from config.network import is_this_computer
 from config.schema import Board, Tool
@@ -31,7 +31,9 @@ from config.schema import Board, Tool
 _BOARD_ERRORS = (DaqBaseError, OSError)
 
 READ_TIMEOUT_MARGIN_S = 0.008  # beyond the duration of a block: without samples the force is not known
+WATCHING_TIMEOUT_MARGIN_S = 0.25  # without a motor a late sample, as of a board on USB, does no harm
 _WRITE_TIMEOUT_S = 1
+BUFFER_S = 10.0  # for which the driver keeps readings
 RATE_TOLERANCE = 1e-7  # of rounding; a clock's crystal is a hundred times worse
 COUNT_INTERVAL_NS, MAX_COUNT_LATENCY_NS, MAX_COUNT_AGE_NS = 100_000_000, 2_000_000, 1_000_000_000
 _GRPC_OPTIONS = (("grpc.max_reconnect_backoff_ms", 200), ("grpc.initial_reconnect_backoff_ms", 50))
@@ -55,6 +57,8 @@ _ERROR_TEXTS = {
 class NidaqSource:
     """A `SampleSource` on one NI board: hardware-clocked inputs, encoder on the same clock, on-demand motor command.
 
+    Instead of the encoder it may have an analog position sensor, and it may have no motor.
+
     Missing samples are never replaced: a late, short or failed read sets the motor to zero and closes the board, which
     then has to be opened again. Only the first block after `reopen` has `lost_samples`.
     """
@@ -74,15 +78,18 @@ class NidaqSource:
         self._clock = clock
         self._tasks: list[nidaqmx.Task] = []
         self._motor_writer: AnalogSingleChannelWriter | None = None
+        self._is_open = False
         self._start_tick = self._next_tick = self._lost_samples = 0
         self._last_read_ns = 0
         self._block_samples = tool.board.block_samples
-        self._timeout_s = self._block_samples / tool.board.sample_rate_hz + READ_TIMEOUT_MARGIN_S
-        self._inputs = find_wired_inputs(tool.channels)
-        self._analog_v = np.empty((len(self._inputs), self._block_samples))
+        margin_s = READ_TIMEOUT_MARGIN_S if tool.has_motor else WATCHING_TIMEOUT_MARGIN_S
+        self._timeout_s = self._block_samples / tool.board.sample_rate_hz + margin_s
+        self._inputs = find_analog_inputs(tool.channels)
+        self._averaged = tool.board.averaged_samples
+        self._analog_v = np.empty((len(self._inputs), self._block_samples * self._averaged))
         absent = {each.name for each in SENSOR_SIGNALS} - {*self._inputs, "encoder_deg"}
         self._absent_signals = dict.fromkeys(absent, np.full(self._block_samples, np.nan))
-        self._encoder_deg = np.empty(self._block_samples)
+        self._encoder_deg = np.empty(self._block_samples * self._averaged)
 
     def __enter__(self) -> Self:
         """Open the board with the motor at zero and the sample clock running.
@@ -91,10 +98,12 @@ class NidaqSource:
             ToolError: no driver, no such board or channel, or the board is in use.
         """
         try:
-            self._open_motor()
-            encoder = self._open_encoder()
+            if self._tool.has_motor:
+                self._open_motor()
+            encoder = self._open_encoder() if self._tool.channels.encoder else None
             analog = self._open_analog()
-            encoder.start()  # waits for the start of the analog inputs, whose clock it uses
+            if encoder:
+                encoder.start()  # waits for the start of the analog inputs, whose clock it uses
             begin_ns = self._clock()
             analog.start()
             self._sample_count = SampleCountReading(
@@ -105,7 +114,7 @@ class NidaqSource:
         except BaseException:
             self._close()
             raise
-        self._next_tick = self._start_tick
+        self._next_tick, self._is_open = self._start_tick, True
         return self
 
     def __exit__(
@@ -125,17 +134,23 @@ class NidaqSource:
         self._start_tick = self._next_tick + self._lost_samples
         self.__enter__()
 
+    @property
+    def silence_reason(self) -> str:
+        """Nothing: samples that do not come are an error."""
+        return ""
+
     def read_block(self) -> RawBlock:
         """Return the next `block_samples` samples.
 
         Raises:
             ToolError: a sample is late or lost, or the board failed; the motor has been commanded to zero.
         """
-        self._require_motor_writer()
-        n = self._block_samples
+        self._require_open()
+        n, position = self._block_samples * self._averaged, self._tool.channels.position
         try:
-            got_v = self._analog_reader.read_many_sample(self._analog_v, n, self._timeout_s)
-            got_deg = self._encoder_reader.read_many_sample_double(self._encoder_deg, n, self._timeout_s)
+            got_v = got_deg = self._analog_reader.read_many_sample(self._analog_v, n, self._timeout_s)
+            if position is None:
+                got_deg = self._encoder_reader.read_many_sample_double(self._encoder_deg, n, self._timeout_s)
             self._last_read_ns = self._clock()
             self._update_sample_count(self._last_read_ns)
         except _BOARD_ERRORS as error:
@@ -147,26 +162,33 @@ class NidaqSource:
             raise self._close_with_error(
                 DaqReadError("short read", DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE, min(got_v, got_deg))
             )
+        n = self._block_samples
+        analog = dict(zip(self._inputs, self._average(self._analog_v), strict=True))
+        encoder_deg = (
+            analog["encoder_deg"] * position.degree_per_volt if position else self._average(self._encoder_deg[None])[0]
+        )
         block = RawBlock(
             first_tick=self._next_tick,
             t_mono_ns=self._last_read_ns,
-            signals={
-                **self._absent_signals,
-                **dict(zip(self._inputs, self._analog_v.copy(), strict=True)),
-                "encoder_deg": self._encoder_deg.copy(),
-            },
+            signals={**self._absent_signals, **analog, "encoder_deg": encoder_deg},
             lost_samples=self._lost_samples,
             backlog=max(self._sample_count.min_count_at(self._last_read_ns) - self._next_tick - n, 0),
         )
         self._next_tick, self._lost_samples = self._next_tick + n, 0
         return block
 
+    def _average(self, readings: np.ndarray) -> np.ndarray:
+        """Return the means of the readings of each sample, (channels, block_samples)."""
+        if self._averaged == 1:
+            return readings.copy()
+        return readings.reshape(len(readings), self._block_samples, self._averaged).mean(axis=2)
+
     def _update_sample_count(self, now_ns: int) -> None:
         """Ask the board for its sample count at intervals; while the last answer is fresh, ignore a slow one."""
         age_ns = now_ns - self._sample_count.requested_ns
         if self._next_tick > self._start_tick and age_ns < COUNT_INTERVAL_NS:
             return
-        taken = self._start_tick + self._analog_task.in_stream.total_samp_per_chan_acquired
+        taken = self._start_tick + self._analog_task.in_stream.total_samp_per_chan_acquired // self._averaged
         answered_ns = self._clock()
         if answered_ns - now_ns <= MAX_COUNT_LATENCY_NS or age_ns > MAX_COUNT_AGE_NS:
             self._sample_count = SampleCountReading(self._tool.board.sample_rate_hz, now_ns, answered_ns, taken)
@@ -178,17 +200,23 @@ class NidaqSource:
             RefusedError: the command is outside the tool's limits or not a number; the motor is at zero.
             ToolError: the board failed.
         """
-        allowed = 0.0 <= command_v <= self._tool.limits.max_command_v  # False for NaN, too
+        most_v = self._tool.limits.max_command_v if self._tool.has_motor else 0.0
+        allowed = 0.0 <= command_v <= most_v  # False for NaN, too
         written = self._write_motor(command_v if allowed else 0.0)
         if not allowed:
+            if not self._tool.has_motor:
+                raise RefusedError(f"The tool {self._tool.name!r} has no motor. Choose the protocol 'by_hand'.")
             raise RefusedError(
-                f"{command_v} V is no motor command between 0 and {self._tool.limits.max_command_v} V; the motor is at "
+                f"{command_v} V is no motor command between 0 and {most_v} V; the motor is at "
                 "zero: correct the protocol, or max_command_v under [limits] in the tool file."
             )
         return written
 
     def _write_motor(self, command_v: float) -> AppliedCommand:
-        motor, begin_ns = self._require_motor_writer(), self._clock()
+        self._require_open()
+        motor, begin_ns = self._motor_writer, self._clock()
+        if motor is None:  # the tool has none, and the caller wrote zero
+            return AppliedCommand(0.0, self._next_tick, self._next_tick)
         try:
             motor.write_one_sample(command_v, _WRITE_TIMEOUT_S)
         except _BOARD_ERRORS as error:
@@ -197,10 +225,9 @@ class NidaqSource:
             command_v, self._sample_count.min_count_at(begin_ns), self._sample_count.max_count_at(self._clock())
         )
 
-    def _require_motor_writer(self) -> AnalogSingleChannelWriter:
-        if self._motor_writer is None:
+    def _require_open(self) -> None:
+        if not self._is_open:
             raise ToolError(f"{self._tool.board.device} is not open (any more): open the tool again first.")
-        return self._motor_writer
 
     def _open_motor(self) -> None:
         task = self._new_task()
@@ -248,16 +275,19 @@ class NidaqSource:
         return task
 
     def _configure_sample_clock(self, task: nidaqmx.Task, source: str) -> None:
-        rate_hz = self._tool.board.sample_rate_hz
-        task.timing.cfg_samp_clk_timing(rate_hz, source=source, sample_mode=AcquisitionType.CONTINUOUS)
+        rate_hz = self._tool.board.sample_rate_hz * self._averaged
+        task.timing.cfg_samp_clk_timing(
+            rate_hz, source=source, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=round(BUFFER_S * rate_hz)
+        )
 
     def _check_sample_rate(self, made_hz: float) -> None:
         """Refuse a rate that the board cannot make, and which the driver has replaced by the nearest one."""
-        board = self._tool.board
+        board, made_hz = self._tool.board, made_hz / self._averaged
         if abs(made_hz / board.sample_rate_hz - 1.0) > RATE_TOLERANCE:
             self._close()
+            times = f" of {self._averaged} readings" if self._averaged > 1 else ""
             raise ToolError(
-                f"{board.device} cannot make {board.sample_rate_hz:.10g} samples a second; it would make "
+                f"{board.device} cannot make {board.sample_rate_hz:.10g} samples{times} a second; it would make "
                 f"{made_hz:.10g}. Set `sample_rate_hz` under [board] in the tool file to a rate that it can make."
             )
 
@@ -274,7 +304,7 @@ class NidaqSource:
     def _close(self) -> bool:
         """Set the motor to zero, then release the board; return False if the motor could not be set to zero."""
         is_zero = self._zero_motor()
-        self._motor_writer = None
+        self._motor_writer, self._is_open = None, False
         tasks, self._tasks = self._tasks, []
         for task in tasks:
             # With the motor settled, a task that does not close leaves the board reserved: the next start reports it.
@@ -343,7 +373,7 @@ def reset_device(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = N
 
 
 def read_driver_version(tool: Tool, grpc_options: nidaqmx.GrpcSessionOptions | None = None) -> str:
-    """Return the driver's version; a check that there is a driver, before anything else starts.
+    """Return the version of NI's driver, which shows that there is one.
 
     Raises:
         ToolError: there is no driver.

@@ -1,4 +1,4 @@
-"""The interface of sample sources, which boards and recordings share."""
+"""The interface SampleSource to a board or a recording: raw blocks in, motor commands out."""
 
 import math
 from collections.abc import Mapping
@@ -57,4 +57,21 @@ class SampleSource(Protocol):
 
     def write_command(self, command_v: float) -> AppliedCommand:
         """Set the motor command, V, and return between which ticks it takes effect. A recording ignores it."""
+        ...
+
+
+class LiveSource(SampleSource, Protocol):
+    """A running tool. A block without samples says that none has come for a moment."""
+
+    @property
+    def silence_reason(self) -> str:
+        """Why no samples come, with what to do; empty while they come, or if a failure to come is an error."""
+        ...
+
+    def reopen(self) -> None:
+        """Open the device again after this process was held up; the samples meanwhile are lost.
+
+        Raises:
+            ToolError: it cannot be opened.
+        """
         ...

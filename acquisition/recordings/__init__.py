@@ -1,1 +1,1 @@
-"""Recordings: the lab's LabVIEW files and Graspwatch's MCAP files, read as a sample source like the board."""
+"""Recordings: Graspwatch's MCAP files, LabVIEW logs and other tables, read as a sample source like the board."""

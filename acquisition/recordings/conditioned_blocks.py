@@ -1,4 +1,4 @@
-"""The blocks of a recording, conditioned like those of a live tool."""
+"""The function that yields the blocks of a recording, conditioned like those of a live tool."""
 
 from collections.abc import Callable, Iterator
 
@@ -11,7 +11,7 @@ from config.schema import ConditioningSettings, Tool
 def read_conditioned_blocks(
     recording: RecordingSource, tool: Tool, conditioning: ConditioningSettings, progress: Callable[[float], None]
 ) -> Iterator[SampleBlock]:
-    """Read a recording to its end; `progress` receives the share done after each block.
+    """Yield the conditioned blocks of a recording to its end; `progress` receives the share done after each.
 
     Raises:
         RecordingError: the file is damaged; the text names the place.

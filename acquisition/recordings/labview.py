@@ -1,4 +1,4 @@
-"""LabVIEW measurement files (`.lvm`, `.lvm.gz`): their samples in the tool's order and units, and their time."""
+"""Functions that read LabVIEW files (`.lvm`, `.lvm.gz`): samples in the tool's order and units, and their time."""
 
 import functools
 import io
@@ -20,6 +20,7 @@ from acquisition.recordings.labview_header import (
     read_header,
 )
 from acquisition.recordings.labview_text import read_lines
+from acquisition.signal_table import find_wired_inputs
 from config.errors import RecordingError
 from config.schema import Tool
 
@@ -51,6 +52,21 @@ class LabviewLog:
     remarks: tuple[str, ...]
     _header: LabviewHeader
     _time_column: int  # of the strain gage, whose date and time count
+    _tool: Tool
+
+    @property
+    def ticks(self) -> np.ndarray:
+        """Times of the samples in sample periods since the first one, (n,)."""
+        return np.round((self.table[:, 0] - self.table[0, 0]) * self._tool.board.sample_rate_hz).astype(np.int64)
+
+    @property
+    def signals(self) -> dict[str, np.ndarray]:
+        """The recorded sensor signals by name, (n,) each, V and degrees."""
+        names = [*find_wired_inputs(self._tool.channels), "encoder_deg"]
+        signals = dict(zip(names, np.ascontiguousarray(self.table[:, 1:].T), strict=True))
+        if position := self._tool.channels.position:
+            signals["encoder_deg"] = signals["encoder_deg"] * position.degree_per_volt
+        return signals
 
     def find_start_ns(self) -> tuple[int | None, str]:
         """Return the time of the first sample, ns since 1970 as if the log's clock showed UTC, and its description.
@@ -79,7 +95,7 @@ class LabviewLog:
 
 
 def read_lvm(path: Path, tool: Tool) -> np.ndarray:
-    """Return the table of `read_labview_log`."""
+    """Return a LabVIEW measurement file's samples, (n, 2 + inputs), with the columns of `LabviewLog.table`."""
     return read_labview_log(path, tool).table
 
 
@@ -110,7 +126,7 @@ def read_labview_log(path: Path, tool: Tool) -> LabviewLog:
     table = _join_segments(path, header, tables, time_column, rate_hz)
     if header.separator != "\t":
         remarks = {f"its columns are separated by {header.separator_name}": None} | remarks
-    return LabviewLog(path, table, tuple(remarks), header, time_column)
+    return LabviewLog(path, table, tuple(remarks), header, time_column, tool)
 
 
 def _read_signals(
@@ -192,7 +208,7 @@ def _join_signals(
 ) -> np.ndarray:
     """Return one table of the samples that all channels have, by the strain gage's times."""
     lead = signals[0]
-    place = segment.line("Delta_X") if columns[0].x_at is None else int(lead.lines[0])
+    place = segment.line_number("Delta_X") if columns[0].x_at is None else int(lead.lines[0])
     _check_time(path, lead.time_s, lead.lines, rate_hz, place)
     _check_stated_step(path, segment, columns[0], lead.time_s)
     if header.x_columns is not XColumns.MULTI:
@@ -229,7 +245,8 @@ def _check_stated_step(path: Path, segment: Segment, column: ChannelColumn, time
     found = float(np.median(np.diff(time_s)))
     if abs(found / column.step - 1.0) > MAX_RATE_ERROR:
         raise RecordingError(
-            f"{path}, line {segment.line('Delta_X')}, column {column.at + 1}: says {column.step:g} s between samples, "
+            f"{path}, line {segment.line_number('Delta_X')}, column {column.at + 1}: says {column.step:g} s between "
+            "samples, "
             f"but the times advance by {found:g} s. Correct the one that is wrong."
         )
 

@@ -1,4 +1,4 @@
-"""Columns of a LabVIEW measurement file: which one is which channel of the tool, in which unit, at which times."""
+"""The function that finds the tool's channels among a LabVIEW file's columns, with their units and times."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from acquisition.recordings.labview_header import (
     Segment,
     XColumns,
 )
-from acquisition.signal_table import SENSOR_SIGNALS, find_wired_inputs
+from acquisition.signal_table import SENSOR_SIGNALS, find_analog_inputs
 from config.errors import RecordingError
 from config.schema import Tool
 
@@ -84,12 +84,13 @@ def find_columns(path: Path, header: LabviewHeader, segment: Segment, tool: Tool
 def _list_channels(tool: Tool) -> tuple[_Channel, ...]:
     channels, device = tool.channels, tool.board.device
     titles = {signal.name: signal.title for signal in SENSOR_SIGNALS}
-    analog = [(titles[name], terminal) for name, terminal in find_wired_inputs(channels).items()]
+    analog = [(titles[name], terminal) for name, terminal in find_analog_inputs(channels).items()]
     is_counter = channels.encoder.casefold().startswith(COUNTER_PREFIX)  # LabVIEW logs it without its name
     encoder = (f"{device}/{channels.encoder}", channels.encoder, *((UNTITLED,) if is_counter else ()))
+    angle = [] if channels.position else [_Channel(titles["encoder_deg"], encoder[-1], encoder, _Quantity.ANGLE)]
     return (
         *(_Channel(what, f"{device}/{name}", (f"{device}/{name}", name), _Quantity.VOLTAGE) for what, name in analog),
-        _Channel(titles["encoder_deg"], encoder[-1], encoder, _Quantity.ANGLE),
+        *angle,
     )
 
 
@@ -140,7 +141,8 @@ def _check_alignment(path: Path, segment: Segment) -> None:
         shifted = next((at for at in times if segment.cell(name, at)), None)
         if shifted is not None:
             raise RecordingError(
-                f"{path}, line {segment.line(name)}, column {shifted + 1}: {name} {segment.cell(name, shifted)!r} "
+                f"{path}, line {segment.line_number(name)}, column {shifted + 1}: {name} "
+                f"{segment.cell(name, shifted)!r} "
                 "stands over a column of times; with X_Columns Multi it belongs over the values. Correct the line."
             )
 
@@ -192,7 +194,7 @@ def _read_unit(path: Path, segment: Segment, channel: _Channel, at: int) -> tupl
     if factor is None or (not label and dimension.casefold().replace(" ", "_") not in dimensions):
         name = "Y_Unit_Label" if factor is None else "Y_Dimension"
         raise RecordingError(
-            f"{path}, line {segment.line(name)}, column {at + 1}: {heading!r} is in {label or dimension!r}, but "
+            f"{path}, line {segment.line_number(name)}, column {at + 1}: {heading!r} is in {label or dimension!r}, but "
             f"{channel.what} is read in {unit}; expected a unit such as {examples}. Convert the column, or name the "
             "right one under [channels] in a copy of the tool file."
         )
@@ -204,7 +206,7 @@ def _read_time_unit(path: Path, segment: Segment, at: int) -> float:
     dimension = segment.cell("X_Dimension", at)
     if dimension.casefold() not in ("", "time"):
         raise RecordingError(
-            f"{path}, line {segment.line('X_Dimension')}, column {at + 1}: {segment.headings[at]!r} is over "
+            f"{path}, line {segment.line_number('X_Dimension')}, column {at + 1}: {segment.headings[at]!r} is over "
             f"{dimension!r}; expected Time. Write the signal over time."
         )
     for name in ("X_Unit_Label", "X_Unit"):
@@ -212,7 +214,8 @@ def _read_time_unit(path: Path, segment: Segment, at: int) -> float:
         factor = labview_units.find_factor(label, labview_units.SECOND)
         if factor is None:
             raise RecordingError(
-                f"{path}, line {segment.line(name)}, column {at + 1}: the times of {segment.headings[at]!r} are in "
+                f"{path}, line {segment.line_number(name)}, column {at + 1}: the times of {segment.headings[at]!r} "
+                "are in "
                 f"{label!r}; expected a unit such as s or ms. Convert them."
             )
         if label:
@@ -227,7 +230,8 @@ def _read_number(path: Path, header: LabviewHeader, segment: Segment, name: str,
         return header.parse_number(text) if text else 0.0
     except ValueError:
         raise RecordingError(
-            f"{path}, line {segment.line(name)}, column {at + 1}: expected {name} as a number, found {text[:40]!r}; "
+            f"{path}, line {segment.line_number(name)}, column {at + 1}: expected {name} as a number, found "
+            f"{text[:40]!r}; "
             f"{header.decimal_text}."
         ) from None
 
@@ -281,6 +285,6 @@ def _check_common_times(
     else:
         return
     raise RecordingError(
-        f"{path}, line {segment.line(name)}, column {column.at + 1}: {column.heading!r} has {told} than "
+        f"{path}, line {segment.line_number(name)}, column {column.at + 1}: {column.heading!r} has {told} than "
         f"{lead.heading!r}, but one column of times. Sample them together, or write the file with X_Columns Multi."
     )

@@ -1,4 +1,4 @@
-"""Headers of a LabVIEW measurement file: what they say of its columns, numbers and times.
+"""The function that reads a LabVIEW file's headers, and classes for what they say of columns, numbers and times.
 
 Format: https://www.ni.com/en/support/documentation/supplemental/06/specification-for-the-labview-measurement-file---lvm-.html
 """
@@ -55,14 +55,14 @@ class Segment:
         field = self.fields.get(name)
         return field.cells[column] if field and column < len(field.cells) else ""
 
-    def line(self, name: str) -> int:
-        """Return the number of a header line."""
+    def line_number(self, name: str) -> int:
+        """Return the line number, in the file, of the header line with this name."""
         return self.fields[name].line
 
 
 @dataclass(frozen=True, slots=True)
 class LabviewHeader:
-    """What the headers of a file say."""
+    """Contents of the headers of a LabVIEW measurement file."""
 
     separator: str
     decimal_comma: bool
@@ -97,11 +97,11 @@ DECIMAL_EXCHANGE = str.maketrans(",.", ".,")  # so that a point in a file with d
 
 
 def read_header(path: Path, lines: list[str]) -> LabviewHeader:
-    """Return what the headers say.
+    """Read the headers of a LabVIEW measurement file.
 
     Raises:
-        RecordingError: the text is no LabVIEW measurement file, or says something that cannot be followed; the text
-            names file and line.
+        RecordingError: the file is none, or its header is damaged or of a kind that is not supported; the
+            message names file and line.
     """
     _check_first_line(path, lines[0])
     ends = [i for i, line in enumerate(lines) if line.startswith(END_OF_HEADER)]

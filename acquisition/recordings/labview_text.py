@@ -1,19 +1,24 @@
-"""Text of a LabVIEW measurement file: unpacked, decoded, bounded, in lines."""
+"""Functions that read the lines of a LabVIEW measurement file, and recognize one."""
 
-import codecs
-import contextlib
-import gzip
 import re
-import zlib
 from pathlib import Path
 
+from acquisition.recordings.labview_header import FIRST_LINE
+from acquisition.recordings.text_file import count_decimals, read_bytes, read_text
 from config.errors import RecordingError
 
-MAX_TEXT_BYTES = 256 * 2**20  # text of more than an hour
-MAX_LINES = 5_000_000  # each takes many times its length in memory
 LINE_ENDS = re.compile("\r\n|\n|\r")
-GZIP_MAGIC = b"\x1f\x8b"
-UTF_16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+BYTE_ORDER_MARKS = b"\xef\xbb\xbf\xff\xfe"
+
+
+def starts_like_labview(path: Path) -> bool:
+    """Return whether a file begins as LabVIEW measurement files do.
+
+    Raises:
+        RecordingError: the file cannot be read or unpacked.
+    """
+    start = read_bytes(path, 2 * len(FIRST_LINE) + len(BYTE_ORDER_MARKS))  # UTF-16 has two bytes a letter
+    return start.lstrip(BYTE_ORDER_MARKS).replace(b"\0", b"").startswith(FIRST_LINE.encode())
 
 
 def read_lines(path: Path) -> list[str]:
@@ -22,27 +27,7 @@ def read_lines(path: Path) -> list[str]:
     Raises:
         RecordingError: the file cannot be read, is no text, or is too long; the text names file and line.
     """
-    try:
-        with path.open("rb") as file:
-            packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC or path.suffix.lower() == ".gz"
-        with gzip.open(path) if packed else path.open("rb") as file:
-            content = file.read(MAX_TEXT_BYTES + 1)
-    except FileNotFoundError:
-        raise RecordingError(f"{path}: there is no such file. Check the path.") from None
-    except EOFError:
-        raise RecordingError(f"{path}: the compressed file is cut off before its end. Copy it again.") from None
-    except (gzip.BadGzipFile, zlib.error) as error:
-        raise RecordingError(f"{path}: is not a sound gzip file ({error}). Copy it again.") from None
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror}).") from None
-    if len(content) > MAX_TEXT_BYTES:
-        raise RecordingError(f"{path}: holds more than {MAX_TEXT_BYTES // 2**20} MiB of text. Split it.")
-    text = _decode(path, content)
-    if text.count("\n") + text.count("\r") > MAX_LINES:
-        raise RecordingError(f"{path}: holds more than {MAX_LINES} lines. Split it.")
-    if not text.strip():
-        raise RecordingError(f"{path}: is empty; expected a LabVIEW measurement file.")
-    lines = LINE_ENDS.split(text)
+    lines = LINE_ENDS.split(read_text(path, "a LabVIEW measurement file"))
     if not lines[-1]:
         lines.pop()
     elif _is_truncated(lines):
@@ -52,31 +37,9 @@ def read_lines(path: Path) -> list[str]:
     return lines
 
 
-def _decode(path: Path, content: bytes) -> str:
-    """Decode UTF-8, UTF-16 with a byte order mark, or one of the 8-bit code pages of Windows.
-
-    All code pages have the same digits and separators; only names and comments may show other letters.
-    """
-    try:
-        if content.startswith(UTF_16_MARKS):
-            return content.decode("utf-16")
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        if b"\0" not in content:
-            with contextlib.suppress(UnicodeDecodeError):
-                return content.decode("cp1252")
-            return content.decode("latin-1")
-        line = content[: error.start].count(b"\n") + 1
-        raise RecordingError(f"{path}, line {line}: is binary; expected a LabVIEW measurement file (text).") from None
-
-
 def _is_truncated(lines: list[str]) -> bool:
     """Return whether the last line has all columns, but fewer decimals in its last number than the line above."""
     if len(lines) < 2:
         return False
     above, last = (re.split("[\t;]" if "\t" in line or ";" in line else ",", line.strip()) for line in lines[-2:])
-    return len(last) == len(above) and _count_decimals(last[-1]) < _count_decimals(above[-1])
-
-
-def _count_decimals(number: str) -> int:
-    return len(re.split("[.,]", number, maxsplit=1)[-1]) if re.search("[.,]", number) else 0
+    return len(last) == len(above) and count_decimals(last[-1]) < count_decimals(above[-1])

@@ -1,4 +1,4 @@
-"""Dates and times of day as LabVIEW measurement files spell them."""
+"""Functions that parse and format the dates and times of day in LabVIEW measurement files."""
 
 import re
 from datetime import UTC, date, datetime, timedelta
@@ -19,7 +19,7 @@ _DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")  # with dots; with sla
 _TIME = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d*))?)?\s*([AaPp])?\.?(?:[Mm]\.?)?")
 
 
-def parse_ns(day: str, time: str) -> int:
+def parse_date_and_time_ns(day: str, time: str) -> int:
     """Return the time of a date and a time of day, ns since 1970, as if they were UTC.
 
     Raises:
@@ -58,7 +58,7 @@ def _parse_time_of_day_ns(text: str) -> int:
 
 
 def is_never_set(time_ns: int) -> bool:
-    """Return whether a time is LabVIEW's time 0, in whatever time zone."""
+    """Return whether a time is LabVIEW's time 0 in any time zone, as of a clock that was never set."""
     return abs(_UNIX_EPOCH + timedelta(microseconds=time_ns // 1000) - LABVIEW_EPOCH) <= EPOCH_MARGIN
 
 
@@ -88,15 +88,15 @@ class BaseTime(NamedTuple):
 
 
 def read_stamp_ns(path: Path, segment: Segment, column: int) -> int:
-    """Return the date and time of a column of a segment, ns since 1970.
+    """Return the start time of a column of a LabVIEW file's segment, by the segment's header, ns since 1970.
 
     Raises:
         RecordingError: they cannot be read; the text names line and column.
     """
     try:
-        return parse_ns(segment.cell("Date", column), segment.cell("Time", column))
+        return parse_date_and_time_ns(segment.cell("Date", column), segment.cell("Time", column))
     except ValueError as error:
-        line = segment.line("Time" if "time of day" in str(error) else "Date")
+        line = segment.line_number("Time" if "time of day" in str(error) else "Date")
         raise RecordingError(f"{path}, line {line}, column {column + 1}: {error}. Correct it in a copy.") from None
 
 
@@ -111,13 +111,14 @@ def find_base_time(path: Path, header: LabviewHeader, segment: Segment, column: 
     line = 0
     own = (segment.cell("Date", column), segment.cell("Time", column))
     if all(own):
-        line, time_ns = segment.line("Date"), read_stamp_ns(path, segment, column)
+        line, time_ns = segment.line_number("Date"), read_stamp_ns(path, segment, column)
         if not is_never_set(time_ns):
             return BaseTime(time_ns, line, "in a zone that it does not say")
     elif any(own):
         name, other = ("Date", "Time") if own[0] else ("Time", "Date")
         raise RecordingError(
-            f"{path}, line {segment.line(name)}, column {column + 1}: says {name} without {other}. Add it in a copy."
+            f"{path}, line {segment.line_number(name)}, column {column + 1}: says {name} without {other}. Add it in a "
+            "copy."
         )
     day, time = header.fields.get("Date"), header.fields.get("Time")
     if day and time:
@@ -137,7 +138,7 @@ def find_base_time(path: Path, header: LabviewHeader, segment: Segment, column: 
 def _parse_file_stamp(path: Path, header: LabviewHeader) -> int:
     day, time = header.fields["Date"], header.fields["Time"]
     try:
-        return parse_ns(" ".join(day.cells[1:2]), " ".join(time.cells[1:2]))
+        return parse_date_and_time_ns(" ".join(day.cells[1:2]), " ".join(time.cells[1:2]))
     except ValueError as error:
         line = time.line if "time of day" in str(error) else day.line
         raise RecordingError(f"{path}, line {line}: {error}. Correct it in a copy.") from None

@@ -1,4 +1,4 @@
-"""Units of LabVIEW's labels, and the factors to the units that the program calculates in."""
+"""The function that finds the factor from a unit in LabVIEW's labels to volts, degrees or seconds."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Decompression of MCAP chunks, bounded so that a small file cannot fill the memory."""
+"""The function that decompresses MCAP chunks, bounded so that a small file cannot fill the memory."""
 
 import zlib
 
@@ -12,7 +12,7 @@ ALWAYS_ALLOWED_BYTES = 2**20
 
 
 def decompress_chunk(chunk: Chunk) -> bytes:
-    """Return the chunk's uncompressed content.
+    """Return the uncompressed content of a chunk of an MCAP file.
 
     Raises:
         ValueError: the chunk is damaged, has an unknown compression, or would be too large.

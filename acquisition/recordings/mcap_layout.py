@@ -1,13 +1,13 @@
-"""Layout of Graspwatch's MCAP files: topics, columns, format version, names of attachments and metadata."""
+"""Layout of Graspwatch's MCAP files (topics, columns, version, names), and functions between samples and columns."""
 
 import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from acquisition.recordings.protobuf_rows import Column, RowLayout
+from acquisition.recordings.protobuf_rows import ColumnSpec, RowLayout
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
-from acquisition.signal_table import SIGNALS, sort_by_number
+from acquisition.signal_table import SIGNALS, list_numbered_names
 
 PROFILE = "graspwatch"
 FORMAT_VERSION = 1
@@ -23,6 +23,7 @@ TOOL_ATTACHMENT, LIBRARY_ATTACHMENT, SETTINGS_ATTACHMENT, PROTOCOL_ATTACHMENT, V
     "protocol.json",
     "versions",
 )
+REFERENCE_ATTACHMENT = "reference.json"  # the reference grasp of the day; a file without one lacks it
 
 RAW_TOPIC, CONDITIONED_TOPIC, ESTIMATES_TOPIC = "/raw", "/conditioned", "/estimates"
 
@@ -33,9 +34,11 @@ _RAW_FIELDS = {"limiter_flags": 7, "lost_samples": 8}  # beside the signals
 _TYPE_CODES = {signal.name: signal.dtype.replace("u2", "u4") for signal in SIGNALS} | dict.fromkeys(_RAW_FIELDS, "u4")
 _RAW_NUMBERS = [(signal.raw, signal.name) for signal in SIGNALS] + [(n, name) for name, n in _RAW_FIELDS.items()]
 _CONDITIONED_NUMBERS = [(signal.conditioned, signal.name) for signal in SIGNALS]
-RAW_LAYOUT = RowLayout("Raw", [Column(name, _TYPE_CODES[name]) for name in sort_by_number("raw", _RAW_NUMBERS)])
-CONDITIONED_COLUMNS = sort_by_number("conditioned", _CONDITIONED_NUMBERS)
-CONDITIONED_LAYOUT = RowLayout("Conditioned", [Column(name, _TYPE_CODES[name]) for name in CONDITIONED_COLUMNS])
+RAW_LAYOUT = RowLayout(
+    "Raw", [ColumnSpec(name, _TYPE_CODES[name]) for name in list_numbered_names("raw", _RAW_NUMBERS)]
+)
+CONDITIONED_COLUMNS = list_numbered_names("conditioned", _CONDITIONED_NUMBERS)
+CONDITIONED_LAYOUT = RowLayout("Conditioned", [ColumnSpec(name, _TYPE_CODES[name]) for name in CONDITIONED_COLUMNS])
 RAW_SIGNALS = tuple(signal for signal in SIGNALS if signal.raw is not None)
 OPTIONAL_COLUMNS = {signal.name for signal in RAW_SIGNALS if signal.optional}
 
@@ -55,7 +58,7 @@ def conditioned_columns(block: SampleBlock) -> Mapping[str, np.ndarray]:
     return {name: block.samples[name] for name in CONDITIONED_COLUMNS}
 
 
-def from_columns(raw: Mapping[str, np.ndarray], conditioned: Mapping[str, np.ndarray]) -> np.ndarray:
+def samples_from_columns(raw: Mapping[str, np.ndarray], conditioned: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return samples of dtype SAMPLE_DTYPE from both kinds of rows; an optional signal that they lack is NaN."""
     samples = np.empty(len(raw["tick"]), SAMPLE_DTYPE)
     for signal in RAW_SIGNALS:

@@ -1,4 +1,4 @@
-"""Reader of Graspwatch's MCAP files, whole or cut off: metadata, attachments, rows of numbers, JSON messages.
+"""The class McapFile, which reads Graspwatch's MCAP files, whole or cut off: metadata, attachments, rows, messages.
 
 The `mcap` package reads the records; numpy reads the many rows of equal length inside a chunk.
 """
@@ -74,7 +74,7 @@ class RowBlock:
 
 @dataclass(frozen=True, slots=True)
 class JsonMessage:
-    """One JSON message."""
+    """One JSON message of an MCAP file: topic, time of logging, and content."""
 
     topic: str
     log_ns: int

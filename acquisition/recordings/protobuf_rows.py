@@ -1,4 +1,4 @@
-"""Rows of numbers as protobuf messages of a fixed layout.
+"""The class RowLayout, which encodes and decodes rows of numbers as protobuf messages of a fixed layout.
 
 Every field has a fixed width and is always written. So all messages of a channel have the same length, and numpy
 encodes and decodes thousands at a time. Any protobuf reader can read them. Encoding:
@@ -26,8 +26,11 @@ Columns = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
-    """One number of a row, of type `f8`, `i8` or `u4`. With `group`, it is in a nested message of that name."""
+class ColumnSpec:
+    """Definition of one number of a row: its name and type, `f8`, `i8` or `u4`; it holds no values.
+
+    With `group`, the number is in a nested message of that name.
+    """
 
     name: str
     type_code: str = "f8"
@@ -41,7 +44,7 @@ class Column:
 class RowLayout:
     """Layout of a kind of row: its columns, its protobuf schema and its dtype in memory."""
 
-    def __init__(self, name: str, columns: Sequence[Column]) -> None:
+    def __init__(self, name: str, columns: Sequence[ColumnSpec]) -> None:
         """Columns of one group are adjacent; names are identifiers."""
         self.name, self.columns = name, tuple(columns)
         file = FileDescriptorProto(name=f"{PACKAGE}/{name.lower()}.proto", package=PACKAGE, syntax="proto3")
@@ -63,9 +66,9 @@ class RowLayout:
         for field in message.field:
             if field.type == FieldDescriptorProto.TYPE_MESSAGE:
                 nested = inner[field.type_name.rpartition(".")[2]]
-                columns += [Column(each.name, _DTYPES[each.type][1:], field.name) for each in nested.field]
+                columns += [ColumnSpec(each.name, _DTYPES[each.type][1:], field.name) for each in nested.field]
             else:
-                columns.append(Column(field.name, _DTYPES[field.type][1:]))
+                columns.append(ColumnSpec(field.name, _DTYPES[field.type][1:]))
         layout = cls(name.removeprefix(f"{PACKAGE}."), columns)
         if layout.descriptor_set != descriptor_set:
             raise ValueError(f"{name}: not a schema of rows of fixed layout")
@@ -80,14 +83,14 @@ class RowLayout:
         return self._dtype.itemsize
 
     def encode_rows(self, columns: Columns) -> bytes:
-        """Encode arrays of shape (n,) by `Column.path` as consecutive rows of `row_bytes` each."""
+        """Encode arrays of shape (n,) by `ColumnSpec.path` as consecutive rows of `row_bytes` each."""
         rows = np.full(len(next(iter(columns.values()))), self._template)
         for column in self.columns:
             rows[column.path] = columns[column.path]
         return rows.tobytes()
 
     def decode(self, data: bytes) -> dict[str, np.ndarray]:
-        """Decode rows to arrays of shape (n,) by `Column.path`.
+        """Decode rows to arrays of shape (n,) by `ColumnSpec.path`.
 
         Raises:
             ValueError: the data are not rows of this layout.
@@ -99,7 +102,7 @@ class RowLayout:
         return {column.path: rows[column.path] for column in self.columns}
 
 
-def _build_layout(columns: tuple[Column, ...], message: DescriptorProto) -> tuple[np.dtype, np.ndarray]:
+def _build_layout(columns: tuple[ColumnSpec, ...], message: DescriptorProto) -> tuple[np.dtype, np.ndarray]:
     """Return the dtype of a row and a row with all tags and zero values; add the fields to `message`."""
     fields: list[tuple[str, str]] = []
     template = b""
@@ -140,7 +143,7 @@ def _declare_submessage(message: DescriptorProto, group: str, size: int) -> byte
     return _encode_varint(number << 3 | _GROUP) + _encode_varint(size)
 
 
-def _compute_encoded_size(column: Column, number: int) -> int:
+def _compute_encoded_size(column: ColumnSpec, number: int) -> int:
     return len(_encode_varint(number << 3)) + np.dtype(column.type_code).itemsize
 
 

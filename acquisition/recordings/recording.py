@@ -1,8 +1,9 @@
-"""A recording as a sample source: its raw samples, block by block, as the board gave them."""
+"""The class RecordingSource: a recording as a sample source, which gives its raw samples block by block."""
 
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -12,12 +13,22 @@ from pydantic import ValidationError
 
 from acquisition.drivers.command_history import AppliedCommand
 from acquisition.drivers.source import RawBlock
-from acquisition.recordings.labview import MAX_TIME_STEP_S, LabviewLog, read_labview_log
-from acquisition.recordings.mcap_layout import OPTIONAL_COLUMNS, RAW_LAYOUT, RAW_TOPIC, TOOL_ATTACHMENT
+from acquisition.recordings.file_names import has_table_suffix, is_reference_run
+from acquisition.recordings.labview import MAX_TIME_STEP_S, read_labview_log
+from acquisition.recordings.labview_text import starts_like_labview
+from acquisition.recordings.mcap_layout import (
+    OPTIONAL_COLUMNS,
+    RAW_LAYOUT,
+    RAW_TOPIC,
+    REFERENCE_ATTACHMENT,
+    TOOL_ATTACHMENT,
+)
 from acquisition.recordings.mcap_reader import COPY_AGAIN_TEXT, MAGIC, McapFile
-from acquisition.signal_table import SENSOR_SIGNALS, find_wired_inputs
+from acquisition.recordings.sample_log import SampleLog
+from acquisition.recordings.table_log import read_table_log
+from acquisition.signal_table import SENSOR_SIGNALS
 from config.errors import RecordingError
-from config.schema import Tool
+from config.schema import ReferenceGrasp, SourceConditions, Tool
 
 BLOCK_SAMPLES = 100
 STEP_SAMPLES = 5  # later stages work in steps that end at ticks that are multiples of this, and at a block's end
@@ -38,12 +49,14 @@ class _RecordedSamples:
     limit_n: np.ndarray
     block_ends: np.ndarray
     run_ids_by_row: dict[int, str]
+    start_ns: int | None  # time of the first sample, ns since 1970
 
 
 class RecordingSource:
-    """A LabVIEW or MCAP recording as a sample source; `speed` 1 plays it in real time, None unthrottled.
+    """A recording as a sample source; `speed` 1 plays it in real time, None unthrottled.
 
-    An MCAP file holds the tool that it was recorded with; for a LabVIEW file, the caller passes it as `tool`.
+    An MCAP file holds the tool that it was recorded with; for another program's log (LabVIEW, or a table as the tool
+    file describes it), the caller passes it as `tool`.
     """
 
     def __init__(self, path: Path, tool: Tool, speed: float | None = None) -> None:
@@ -56,7 +69,7 @@ class RecordingSource:
         self.mcap_file = McapFile(path) if is_mcap(path) else None
         self.first_tick = 0  # tick in an MCAP file that counts as 0 here
         self.tool = tool if self.mcap_file is None else read_recorded_tool(self.mcap_file)
-        self.labview_log: LabviewLog | None = None if self.mcap_file else read_labview_log(path, tool)
+        self.log: SampleLog | None = None if self.mcap_file else read_log(path, tool)
         self._recorded = self._read()
         self._rate_hz = self.tool.board.sample_rate_hz
         if self.duration_s > MAX_TIME_STEP_S:
@@ -71,13 +84,10 @@ class RecordingSource:
 
     def _read(self) -> _RecordedSamples:
         if self.mcap_file is None:
-            assert self.labview_log
-            table = self.labview_log.table
-            ticks = np.round((table[:, 0] - table[0, 0]) * self.tool.board.sample_rate_hz).astype(np.int64)
-            names = [*find_wired_inputs(self.tool.channels), "encoder_deg"]
-            signals = _complete_signals(dict(zip(names, np.ascontiguousarray(table[:, 1:].T), strict=True)))
+            assert self.log
+            ticks, signals = self.log.ticks, _complete_signals(self.log.signals)
             held, limit_n = np.zeros(len(ticks), np.uint16), np.full(len(ticks), np.nan)
-            return _RecordedSamples(ticks, signals, held, limit_n, np.zeros(0, np.int64), {})
+            return _RecordedSamples(ticks, signals, held, limit_n, np.zeros(0, np.int64), {}, self._find_log_start_ns())
         rows = self.mcap_file.read_rows(RAW_TOPIC)
         missing = {column.path for column in RAW_LAYOUT.columns} - set(rows.columns) - OPTIONAL_COLUMNS
         if missing:
@@ -96,7 +106,15 @@ class RecordingSource:
         runs = {begins: run_id} if begins < len(ticks) else {}
         limiter = rows.columns["limiter_flags"].astype(np.uint16)
         limit_n = rows.columns.get("limit_n", np.full(len(ticks), np.nan))
-        return _RecordedSamples(ticks - self.first_tick, signals, limiter, limit_n, ends, runs)
+        start_ns = int(rows.log_ns[0])
+        return _RecordedSamples(ticks - self.first_tick, signals, limiter, limit_n, ends, runs, start_ns)
+
+    def _find_log_start_ns(self) -> int | None:
+        assert self.log
+        try:
+            return self.log.find_start_ns()[0]
+        except RecordingError:  # a clock that was never set, for example: the samples are sound
+            return None
 
     def __enter__(self) -> Self:
         self._started_s = time.monotonic()
@@ -108,9 +126,27 @@ class RecordingSource:
         return
 
     @property
+    def conditions(self) -> SourceConditions:
+        """When the recording was made, and its reference grasp.
+
+        The time is None if a log does not say it in a way that can be read; a log holds no reference.
+
+        Raises:
+            RecordingError: the reference grasp in the file cannot be read.
+        """
+        start_ns = self._recorded.start_ns
+        recorded_at = None if start_ns is None else datetime.fromtimestamp(start_ns // 1000 / 1e6, UTC)
+        return SourceConditions(recorded_at, read_recorded_reference(self.mcap_file) if self.mcap_file else None)
+
+    @property
+    def is_reference_grasp(self) -> bool:
+        """Whether the recorded run is a reference grasp, with empty jaws."""
+        return any(map(is_reference_run, self._recorded.run_ids_by_row.values()))
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What was converted when the file was read, in words."""
-        return self.labview_log.remarks if self.labview_log else ()
+        return self.log.remarks if self.log else ()
 
     @property
     def sample_count(self) -> int:
@@ -165,6 +201,16 @@ class RecordingSource:
         return AppliedCommand(0.0, 0, 0)
 
 
+def read_log(path: Path, tool: Tool) -> SampleLog:
+    """Read a recording by another program: a LabVIEW log, or a table as the tool file describes it.
+
+    Raises:
+        RecordingError: the file cannot be read, or does not fit the tool file.
+    """
+    is_table = (tool.table is not None or has_table_suffix(path.name)) and not starts_like_labview(path)
+    return read_table_log(path, tool) if is_table else read_labview_log(path, tool)
+
+
 def _complete_signals(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the columns of SENSOR_SIGNALS; one that was not recorded is NaN."""
     missing = np.full(len(columns["strain_v"]), np.nan)
@@ -182,6 +228,22 @@ def read_recorded_tool(container: McapFile) -> Tool:
     except (KeyError, ValidationError) as error:
         why = str(error).splitlines()[0]
         raise RecordingError(f"{container.path}: the tool it was recorded with cannot be read ({why}).") from None
+
+
+def read_recorded_reference(container: McapFile) -> ReferenceGrasp | None:
+    """Return the reference grasp that a recording follows; None without one.
+
+    Raises:
+        RecordingError: this version cannot read it.
+    """
+    content = container.attachments.get(REFERENCE_ATTACHMENT)
+    try:
+        return None if content is None else ReferenceGrasp.model_validate_json(content, extra="ignore")
+    except ValidationError as error:
+        why = str(error).splitlines()[0]
+        raise RecordingError(
+            f"{container.path}: its reference grasp cannot be read ({why}). {COPY_AGAIN_TEXT}"
+        ) from None
 
 
 def is_mcap(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Force limiter and stop conditions of the motor, computed at every block from the unfiltered force."""
+"""The class ForceLimiter, and the function that finds a reason to stop the motor, by each block's unfiltered force."""
 
 import math
 from collections import deque
@@ -34,7 +34,7 @@ def find_stop_reason(tool: Tool, samples: np.ndarray) -> str | None:
 
     The force is compared with the ceiling in the newtons of the force scale's upper end. The mean of a block counts, so
     that one spike of the strain gage does not end a grasp. A force that cannot be known counts as too large: the strain
-    gage is saturated, or jaws in a grasp are outside the domain of Eqs. (1) to (6).
+    gage is saturated, or the sensors in a grasp are outside the domain of the kinematics.
     """
     flags, force_n, ceiling_n = (
         samples["flags"],
@@ -47,7 +47,7 @@ def find_stop_reason(tool: Tool, samples: np.ndarray) -> str | None:
     if (flags & SATURATED).all():
         return "the strain gage is saturated: the force is not known"
     if (flags & (INVALID | IN_GRASP) == INVALID | IN_GRASP).all():
-        return "the jaws are outside the range of Eqs. (1) to (6): the force is not known"
+        return "the sensors are outside the range of the tool's kinematics: the force is not known"
     known = np.isfinite(force_n)
     mean_n = float(force_n[known].mean()) if known.any() else 0.0
     if mean_n > ceiling_n:

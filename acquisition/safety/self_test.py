@@ -1,9 +1,10 @@
-"""The self-test at rest, part of arming: strain gage at its tare, quiet and live sensors, command line at zero."""
+"""The class SelfTest, part of arming: strain gage at its tare, quiet and live sensors, command line at zero."""
 
 from collections import deque
 
 import numpy as np
 
+from acquisition.sample_block import SAMPLE_DTYPE
 from acquisition.signals.grasp_tracker import COMMAND_ON_V
 from config.schema import Tool
 
@@ -22,7 +23,7 @@ def compute_noise_range_v(tool: Tool) -> tuple[float, float]:
 
 
 class SelfTest:
-    """Window of the last samples and the checks on them."""
+    """Self-test at rest: a window of the last samples, and the checks on them."""
 
     def __init__(self, tool: Tool) -> None:
         self._tool = tool
@@ -44,7 +45,7 @@ class SelfTest:
 
     def find_fault(self) -> str | None:
         """Return the first fault in the last samples with advice, or None if the tool may be armed."""
-        samples = np.concatenate(self._recent_blocks)
+        samples = np.concatenate(self._recent_blocks, dtype=SAMPLE_DTYPE)
         if len(samples) < WINDOW_SAMPLES:
             return "the tool has not been watched long enough: try again"
         tool, strain_v = self._tool, samples["strain_v"]

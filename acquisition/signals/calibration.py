@@ -1,6 +1,7 @@
-"""Conversion between volts and degrees at the handle and newtons and meters at the jaws, Eqs. (1) to (6).
+"""Functions between volts and degrees at the sensors and newtons and meters at the jaws, both ways.
 
-Outside the equations' domain a jaw signal is NaN and flagged invalid, never clipped.
+For the Smart Tool they are Eqs. (1) to (6); [kinematics] in the tool file chooses others (`sensor_maps.py`). Outside
+their domain a jaw signal is NaN and flagged invalid, never clipped.
 """
 
 import math
@@ -8,15 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from config.schema import Tool
+from acquisition.signals.sensor_maps import build_sensor_maps
+from config.schema import ForceLaw, Geometry, SmartToolKinematics, Tool
 
 
 @dataclass(frozen=True, slots=True)
 class JawSignals:
     """Force and motion of the jaws, each array of the shape of the input.
 
-    `newton_per_volt` and `metre_per_volt` are the total derivatives of force and displacement by the strain voltage at
-    a fixed encoder reading, cable stretch included. They convert the noise of the strain gage.
+    `angle_rad` is the turn of the Smart Tool's jaws, and NaN for other tools. `newton_per_volt` and `metre_per_volt`
+    are the total derivatives of force and displacement by the strain voltage at a fixed encoder reading, cable stretch
+    included. They convert the noise of the strain gage.
     """
 
     force_n: np.ndarray
@@ -34,9 +37,27 @@ def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarra
         strain_v: tared strain gage voltage, V.
         encoder_deg: encoder angle after the gearbox, zero at the grasp's start, degrees.
 
-    Source: Eqs. (1) to (6) with the geometry of Table I.
+    Source: for the Smart Tool Eqs. (1) to (6) with the geometry of Table I. By a constant force scale, Eq. (2) does not
+    count.
     """
-    geometry, calibration = tool.geometry, tool.calibration
+    if isinstance(tool.kinematics, SmartToolKinematics):
+        return _compute_by_linkage(tool, tool.linkage, strain_v, encoder_deg)
+    force_map, motion_map = build_sensor_maps(tool)
+    stretch = tool.stretch_deg_per_volt
+    force_n, newton_per_volt = force_map.evaluate(strain_v)
+    displacement_m, metre_per_deg = motion_map.evaluate(encoder_deg - stretch * strain_v)
+    return JawSignals(
+        force_n,
+        displacement_m,
+        np.full_like(force_n, np.nan),
+        newton_per_volt,
+        -stretch * metre_per_deg,
+        np.isfinite(force_n) & np.isfinite(displacement_m),  # the force is known also where the displacement is not
+    )
+
+
+def _compute_by_linkage(tool: Tool, geometry: Geometry, strain_v: np.ndarray, encoder_deg: np.ndarray) -> JawSignals:
+    calibration = tool.calibration
     beta0 = math.radians(geometry.beta0_deg)
     radian_per_encoder = math.radians(calibration.handle_per_encoder)
     theta_handle = radian_per_encoder * (encoder_deg - calibration.encoder_deg_per_volt * strain_v)  # Eqs. (3)-(5)
@@ -60,7 +81,9 @@ def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarra
             * (np.tan(rod_angle) * np.cos(rod_angle) + sine)
             * jaw_cosine
         )
-        gain = transmission * calibration.newton_per_volt * calibration.jaw_force_scale.value
+        scale = calibration.jaw_force_scale
+        by_eq2 = scale.law is ForceLaw.EQUATION_2
+        gain = transmission * calibration.newton_per_volt * scale.value if by_eq2 else np.full_like(angle, scale.value)
         force = gain * strain_v
         displacement = geometry.l_jaw_m * jaw_sine  # Eq. (6)
 
@@ -73,7 +96,7 @@ def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarra
             * radian_per_encoder
             * calibration.encoder_deg_per_volt
         )
-        gain_by_angle = gain * (np.cos(angle) / sine - jaw_sine / jaw_cosine)
+        gain_by_angle = by_eq2 * gain * (np.cos(angle) / sine - jaw_sine / jaw_cosine)
         newton_per_volt = gain + strain_v * gain_by_angle * angle_by_volt
         metre_per_volt = geometry.l_jaw_m * jaw_cosine * angle_by_volt
 
@@ -91,13 +114,23 @@ def compute_jaw_signals(tool: Tool, strain_v: np.ndarray, encoder_deg: np.ndarra
     return JawSignals(force, displacement, theta_jaw, newton_per_volt, metre_per_volt, valid)
 
 
-def compute_sensor_signals(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, float]:
-    """Return tared strain voltage (V) and encoder angle (degrees): the inverse of `compute_jaw_signals`.
+def compute_sensor_signals_from_jaws(tool: Tool, force_n: float, displacement_m: float) -> tuple[float, float]:
+    """Return the tared strain voltage (V) and encoder angle (degrees) for a jaw force, N, and displacement, m.
+
+    It is the inverse of `compute_jaw_signals`.
 
     Raises:
-        ValueError: the jaws cannot reach the displacement; the text says which limit it exceeds.
+        ValueError: the jaws cannot reach the displacement or force; the text says which limit it exceeds.
     """
-    geometry, calibration = tool.geometry, tool.calibration
+    if isinstance(tool.kinematics, SmartToolKinematics):
+        return _invert_linkage(tool, tool.linkage, force_n, displacement_m)
+    force_map, motion_map = build_sensor_maps(tool)
+    strain_v = force_map.invert(force_n)
+    return strain_v, motion_map.invert(displacement_m) + tool.stretch_deg_per_volt * strain_v
+
+
+def _invert_linkage(tool: Tool, geometry: Geometry, force_n: float, displacement_m: float) -> tuple[float, float]:
+    calibration = tool.calibration
     beta0 = math.radians(geometry.beta0_deg)
     reach = displacement_m / geometry.l_jaw_m
     if not abs(reach) < 1:
@@ -109,7 +142,8 @@ def compute_sensor_signals(tool: Tool, force_n: float, displacement_m: float) ->
         raise ValueError(f"the linkage cannot reach a displacement of {displacement_m} m")
     lever = geometry.l2_m * geometry.r_pp_m / (2 * geometry.l_jaw_m * geometry.a_m)
     gain = lever * (crank + math.sin(angle)) * math.cos(theta_jaw) * calibration.newton_per_volt
-    strain_v = force_n / (gain * calibration.jaw_force_scale.value)
+    scale = calibration.jaw_force_scale
+    strain_v = force_n / (scale.value if scale.law is ForceLaw.CONSTANT else gain * scale.value)
 
     # Eq. (6) is a quadratic in the rod position p: p^2 + b p + c = 0; the smaller root is the one with p = 0 at rest
     b = 2 * (geometry.l2_m * math.cos(angle) - geometry.l0_m)

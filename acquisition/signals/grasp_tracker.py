@@ -1,4 +1,4 @@
-"""Detection of grasps, contact, jaw closure and encoder slip."""
+"""The class GraspTracker, which detects grasps, contact, jaw closure and encoder slip."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from acquisition.sample_block import SampleFlag
-from config.schema import ContactDetection
+from config.schema import ContactDetection, HandDrivenGrasps
 
 COMMAND_ON_V = 0.02  # above the spikes of one sample (17 mV) of a command line read back at rest
 COMMAND_ZERO_V = 0.002  # noise of the read-back
@@ -48,13 +48,21 @@ class GraspTracker:
     """Tracker of grasps, sample by sample.
 
     A grasp begins where the command leaves zero (detected a few samples later and back-dated) and ends where it
-    returns. Contact comes from the touch sensors if the tool trusts them, else from a rise of the strain over its
-    lowest level in the grasp. The jaws are shut where the strain rises while the encoder advances no more than the
+    returns to zero. Contact comes from the touch sensors if the tool trusts them, else from a rise of the strain over
+    its lowest level in the grasp. The jaws are shut where the strain rises while the encoder advances no more than the
     cable stretches.
+
+    Without a motor command (`hand_driven`), a grasp begins where the encoder has travelled far enough from its last
+    open position, and ends where it has come back most of the way. The encoder's zero is that position, and the strain
+    of the open jaws is the level over which it must rise.
     """
 
-    def __init__(self, detection: ContactDetection, stretch_deg_per_volt: float) -> None:
-        self._detection = detection
+    def __init__(
+        self, detection: ContactDetection, stretch_deg_per_volt: float, hand_driven: HandDrivenGrasps | None = None
+    ) -> None:
+        self._detection, self._hand_driven = detection, hand_driven
+        self._open_travel_deg, self._shut_travel_deg = np.inf, -np.inf  # of the last open and shut positions
+        self._open_strain_v = np.inf  # lowest since the last grasp
         self._stretch_deg_per_volt = stretch_deg_per_volt
         self._recent_samples: deque[tuple[float, float, float]] = deque(
             maxlen=BACKDATING_SAMPLES
@@ -73,7 +81,10 @@ class GraspTracker:
         self._recent_samples.append((command_v, strain_v, encoder_deg))
         self._last_strain_v.append(strain_v)
         self._last_encoder_deg.append(encoder_deg)
-        self._track_command(tick, command_v)
+        if self._hand_driven is None:
+            self._track_command(tick, command_v)
+        else:
+            self._track_travel(tick, self._hand_driven)
         if not self.in_grasp:
             return 0
         grasp = self.grasp
@@ -107,10 +118,30 @@ class GraspTracker:
                 break
             start, encoder_zero = start + 1, encoder_deg
         start -= 1
-        walk = abs(encoder_zero - self.grasp.encoder_zero_deg)
+        self._start_grasp(tick - start, encoder_zero, tick)
+
+    def _start_grasp(self, start_tick: int, encoder_zero_deg: float, detected_tick: int) -> None:
+        walk = abs(encoder_zero_deg - self.grasp.encoder_zero_deg)
         walked = self.grasp.index > 0 and walk > self._detection.walk_deg
-        self.grasp = _GraspState(self.grasp.index + 1, tick - start, encoder_zero, tick, encoder_slips=walked)
+        index = self.grasp.index + 1
+        self.grasp = _GraspState(index, start_tick, encoder_zero_deg, detected_tick, encoder_slips=walked)
         self.in_grasp = True
+
+    def _track_travel(self, tick: int, hand_driven: HandDrivenGrasps) -> None:
+        """Begin or end a grasp by the encoder alone, whose travel counts from the last open position."""
+        strain_v, travel_deg = self._compute_medians()
+        if self.in_grasp:
+            self._shut_travel_deg = max(self._shut_travel_deg, travel_deg)
+            left_deg = hand_driven.open_share * (self._shut_travel_deg - self._open_travel_deg)
+            if travel_deg < self._open_travel_deg + left_deg:
+                self.in_grasp, self._open_travel_deg, self._open_strain_v = False, travel_deg, strain_v
+            return
+        self._open_travel_deg = min(self._open_travel_deg, travel_deg)
+        self._open_strain_v = min(self._open_strain_v, strain_v)
+        if travel_deg > self._open_travel_deg + hand_driven.closing_deg:
+            self._shut_travel_deg = travel_deg
+            self._start_grasp(tick, self._open_travel_deg, tick)
+            self.grasp.baseline_v = self._open_strain_v
 
     def _detect_contact(self, tick: int, touched: bool) -> None:
         grasp, detection = self.grasp, self._detection
@@ -151,8 +182,8 @@ class GraspTracker:
             return
         first = points[-5]
         slope = (encoder_deg - first.encoder_deg) / (strain_v - first.strain_v)
-        if slope < self._stretch_deg_per_volt * detection.slip_share:
-            grasp.encoder_slips = True
+        if self._stretch_deg_per_volt and slope < self._stretch_deg_per_volt * detection.slip_share:
+            grasp.encoder_slips = True  # without stretch nothing tells an encoder that slips from shut jaws
         elif slope < self._stretch_deg_per_volt + detection.wall_slack_deg_per_volt:
             grasp.jaw_closure_tick = first.tick
 

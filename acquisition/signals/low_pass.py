@@ -1,4 +1,4 @@
-"""The paper's low-pass filter, which keeps its state from block to block."""
+"""The class LowPassFilter: the paper's low-pass filter, which keeps its state from block to block."""
 
 import numpy as np
 

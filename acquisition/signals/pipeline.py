@@ -1,4 +1,4 @@
-"""Conditioning of raw blocks: tare, filter, grasp tracking, calibration."""
+"""The class ConditioningPipeline: tare, filter, grasp tracking and calibration of raw blocks."""
 
 import numpy as np
 
@@ -60,6 +60,7 @@ class ConditioningPipeline:
     def __init__(self, tool: Tool, conditioning: ConditioningSettings) -> None:
         self._tool, self._conditioning = tool, conditioning
         self._saturated_v = 0.999 * tool.channels.analog_range_v
+        compute_jaw_signals(tool, np.zeros(1), np.zeros(1))  # imports what it needs before the first block
         self._sequence = 0
         self._run = ""
         self._reset()
@@ -68,7 +69,7 @@ class ConditioningPipeline:
         """Reset all state, so that a run's result does not depend on samples before it and can be repeated."""
         tool = self._tool
         self._low_pass = LowPassFilter(self._conditioning, tool.board.sample_rate_hz)
-        self._tracker = GraspTracker(tool.contact, tool.calibration.encoder_deg_per_volt)
+        self._tracker = GraspTracker(tool.contact, tool.stretch_deg_per_volt, tool.hand_driven)
         self.restart_tare()
         self._recent_displacements_m = np.full(DISPLACEMENT_HISTORY_SAMPLES, np.nan)
         self._contact_grasp = 0
@@ -85,7 +86,10 @@ class ConditioningPipeline:
             self._reset()
         self._run = raw.run
         raw_strain_v, raw_encoder_deg = raw.signals["strain_v"], raw.signals["encoder_deg"]
-        rest_v = self.tare.update(raw_strain_v, raw.signals["motor_command_v"])
+        command_v = raw.signals["motor_command_v"]
+        if self._tool.hand_driven:  # the first grasp ends the tare, as the first command does
+            command_v = np.full(n, np.inf if self._tracker.grasp.index else 0.0)
+        rest_v = self.tare.update(raw_strain_v, command_v)
         samples = np.zeros(n, SAMPLE_DTYPE)
         samples["tick"] = raw.first_tick + np.arange(n)
         for signal in SENSOR_SIGNALS:

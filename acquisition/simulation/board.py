@@ -1,4 +1,4 @@
-"""A simulated PCI-6230: its clock, tasks with sample buffers, and outputs that hold. gRPC is in `service.py`."""
+"""The class SimulatedBoard: a PCI-6230 with clock, sample buffers, and outputs that hold. gRPC is in `service.py`."""
 
 import math
 import threading
@@ -83,7 +83,7 @@ class TaskState(Enum):
 
 # the analog inputs that the tool has, V, in the order of the signal table; encoder, degrees; an input without a wire
 Sample = tuple[float, ...]
-UNWIRED, UNWIRED_V = "unwired", 0.0
+UNWIRED, UNWIRED_V, POSITION_V = "unwired", 0.0, "position_v"
 
 # A PCI-6230 has these channels, and makes its sample clock by dividing this timebase.
 ANALOG_INPUTS = tuple(f"ai{n}" for n in range(8))
@@ -102,7 +102,7 @@ class OutputChange(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Task:
-    """One DAQmx task."""
+    """One DAQmx task of the simulated board."""
 
     name: str
     kind: ChannelKind | None = None
@@ -135,7 +135,9 @@ class SimulatedBoard:
         self._device, self.product = tool.board.device, tool.board.product
         self._buffer_samples = buffer_samples
         self._encoder_resolution_deg = tool.calibration.encoder_resolution_deg
-        inputs = find_wired_inputs(tool.channels)
+        inputs, self._position = find_wired_inputs(tool.channels), tool.channels.position
+        if self._position:
+            inputs[POSITION_V] = self._position.input
         self._unwired_v = dict.fromkeys((*inputs, UNWIRED), UNWIRED_V)
         self._select_sample = itemgetter(*inputs, "encoder_deg", UNWIRED)
         self._channels = {
@@ -143,9 +145,9 @@ class SimulatedBoard:
             ChannelKind.ENCODER: COUNTERS,
             ChannelKind.ANALOG_OUT: ANALOG_OUTPUTS,
         }
-        wired = (*inputs.values(), tool.channels.encoder)  # in the order of a Sample
+        wired = (*inputs.values(), tool.channels.encoder or None)  # in the order of a Sample
         self._columns = {name: column for column, name in enumerate(wired)}
-        self._motor_channel = tool.channels.motor_command
+        self._motor_channel = tool.channels.motor_command or None
         self._analog_clock = f"/{self._device}/ai/SampleClock"
         self._analog_start = f"/{self._device}/ai/StartTrigger"
         self._lock = threading.RLock()
@@ -184,7 +186,7 @@ class SimulatedBoard:
         return task
 
     def add_channel_to_task(self, name: str, kind: ChannelKind, physical: str) -> Task:
-        """Add `physical`, e.g. `Dev1/ai0`, to the task and return the task."""
+        """Add `physical`, e.g. `Dev1/ai0`, to a task of the simulated board; return the task."""
         device, _, channel = physical.partition("/")
         self.check_device(device)
         if channel not in self._channels[kind]:
@@ -197,7 +199,7 @@ class SimulatedBoard:
         return task
 
     def channel_names(self, kind: ChannelKind) -> tuple[str, ...]:
-        """Return the names of the board's physical channels of a kind, without the device's name."""
+        """Return the names of the simulated board's physical channels of a kind, without the device's name."""
         return self._channels[kind]
 
     def check_device(self, device: str) -> None:
@@ -207,8 +209,8 @@ class SimulatedBoard:
                 f"Device identifier is invalid: {device}; the board here is {self._device}",
             )
 
-    def set_sample_clock(self, name: str, rate_hz: float, source: str) -> None:
-        """Set a task's sample clock; a rate that the timebase cannot be divided to becomes the nearest one."""
+    def configure_sample_clock_timing(self, name: str, rate_hz: float, source: str) -> None:
+        """Set a task's sample rate and clock source; a rate that the timebase does not give becomes the nearest one."""
         task = self.task(name)
         divisor = max(round(TIMEBASE_HZ / rate_hz), 1)
         task.rate_hz, task.clock_source = TIMEBASE_HZ / divisor, source
@@ -242,7 +244,7 @@ class SimulatedBoard:
             del self._tasks[name]
 
     def reset_device(self, device: str) -> None:
-        """Abort all tasks and set the output to 0 V."""
+        """Abort all simulated tasks and set the output to 0 V."""
         self.check_device(device)
         with self._lock:
             self._check_connected()
@@ -260,24 +262,24 @@ class SimulatedBoard:
     # --- faults ------------------------------------------------------------------------------------------------------
 
     def stop_sample_clock(self, after: int) -> None:
-        """Stop the sample clock `after` samples from now, until the device is reset."""
+        """Simulate a fault: the sample clock stops `after` samples from now, until the device is reset."""
         with self._lock:
             self._simulate_until_now()
             self._clock_edges_left = after
 
     def disconnect(self, duration_s: float) -> None:
-        """Disconnect the board for a while: it delivers no samples, and calls to it fail."""
+        """Simulate a fault: for a while, s, the board delivers no samples, and calls to it fail."""
         with self._lock:
             self._simulate_until_now()
             self._disconnected_until_ns = self.clock.now_ns() + duration_s * 1e9
 
     def delay_samples(self, duration_s: float) -> None:
-        """Take samples, but deliver none for a while."""
+        """Simulate a fault: for a while, s, the board takes samples but delivers none."""
         with self._lock:
             self._delayed_until_ns = self.clock.now_ns() + duration_s * 1e9
 
     def fail_next_read(self, code: DAQmxErrors) -> None:
-        """Answer the next read with this error."""
+        """Simulate a fault: only the next read fails, with this error code."""
         with self._lock:
             self._injected_error = BoardError(code, f"failed with {int(code)}")
 
@@ -389,7 +391,10 @@ class SimulatedBoard:
         step, command_v = self._plant.step, self._output_v
         inputs_v = self._unwired_v | {"motor_command_v": self._compute_readback_v(command_v)}
         for _ in range(min(due, self._buffer_samples + 1)):  # samples after an overrun cannot be read
-            sample = self._select_sample(inputs_v | step(command_v))
+            readings = inputs_v | step(command_v)
+            if self._position:
+                readings[POSITION_V] = readings["encoder_deg"] / self._position.degree_per_volt
+            sample = self._select_sample(readings)
             for queue in queues:
                 queue.append(sample)
         for task in clocked:

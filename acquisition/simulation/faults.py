@@ -1,4 +1,4 @@
-"""Sensor faults: a plant between the simulated board and the simulated grasper."""
+"""The class FaultySensors, which simulates sensor faults: a plant between simulated board and simulated grasper."""
 
 import math
 import threading

@@ -1,4 +1,4 @@
-"""The simulated grasper: motor command in, raw sensor volts and degrees out, one sample a call."""
+"""The class SimulatedGrasper: motor command in, raw sensor volts and degrees out, one sample a call."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,8 +7,15 @@ import numpy as np
 
 from acquisition.drivers.source import RawBlock
 from acquisition.signal_table import SENSOR_SIGNALS
-from acquisition.signals.calibration import compute_jaw_signals, compute_sensor_signals
-from acquisition.simulation.tissue import NO_DEVIATION, Material, ModelDeviation, Specimen, integrate_tissue
+from acquisition.signals.calibration import compute_jaw_signals, compute_sensor_signals_from_jaws
+from acquisition.simulation.tissue import (
+    GRASP_SCATTER_LOG_SD,
+    NO_DEVIATION,
+    Material,
+    ModelDeviation,
+    Specimen,
+    integrate_tissue,
+)
 from config.errors import ConfigurationError
 from config.schema import TissueLibrary, Tool
 
@@ -18,14 +25,16 @@ OPENING_FORCE_N = 0.02
 REST_OFFSET_SD_V = 0.005  # standard deviation of the rest voltage in the recordings
 FRICTION_SATURATION_M_PER_S = 1e-3  # jaw speed from which on the cable's friction is complete
 BACKLASH_TAKEUP_N = 0.1  # force that tightens the cable
+NEW_SPOT_AFTER_S = 5.0  # jaws open for longer between two grasps: the next one is on another spot
 REMAINING_TISSUE_SHARE = 0.02  # share of the tissue that stays between the jaws after slipping
 
 
 class SimulatedGrasper:
-    """Chain: command, drive lag, free travel, contact, tissue, inverse of Eqs. (1) to (6), noisy volts and counts.
+    """Simulation: command, drive lag, free travel, contact, tissue, inverse of Eqs. (1) to (6), noisy volts and counts.
 
-    Every grasp holds a new specimen of the tissue, drawn from the profile and its spread with `seed`. `deviation` makes
-    truth and sensors differ from the estimator's assumptions.
+    Every spot is a new specimen of the tissue, drawn from the profile and its spread with `seed`; grasps on it differ a
+    little. Another tissue, or jaws that were open for long, begin a spot. `deviation` makes truth and sensors differ
+    from the estimator's assumptions.
     """
 
     def __init__(
@@ -37,7 +46,7 @@ class SimulatedGrasper:
         self._deviation = deviation
         self._dt_s = 1.0 / tool.board.sample_rate_hz
         self._seed = seed
-        sweep = compute_jaw_signals(tool, np.zeros(400), np.arange(400.0))
+        sweep = compute_jaw_signals(tool, np.zeros(800), np.arange(-400.0, 400.0))
         self._max_travel_m = FULL_CLOSURE_SHARE * float(np.nanmax(sweep.displacement_m))
         self._noise_rng = np.random.default_rng([seed, 0])
         self._rest_v = tool.calibration.rest_offset_v + REST_OFFSET_SD_V * float(self._noise_rng.standard_normal())
@@ -50,6 +59,8 @@ class SimulatedGrasper:
         self.tissue = tissue
         self.gauge_m: float | None = None  # thickness of a rigid gauge instead of tissue; 0: the jaws are empty
         self.handle_pull_n = 0.0  # pull of a weight on the handle
+        self._spot: tuple[str, np.ndarray] | None = None  # its tissue and deviations; None: a new one begins
+        self._open_samples = math.inf
         self.specimen = self._draw_specimen()
         self.actuator_force_n = 0.0
         self.force_n = 0.0
@@ -66,15 +77,16 @@ class SimulatedGrasper:
         )  # compiles it before the first grasp
 
     def set_tissue(self, tissue: str) -> None:
-        """Set the tissue of the next grasp."""
+        """Set the tissue that the simulated grasper holds from the next grasp on."""
         self.tissue = tissue
 
     def step(self, command_v: float) -> dict[str, float]:
         """Advance one sample with the command held, V; return the sensors' readings, V and degrees, by signal."""
         if command_v != self._command_v:
             self._set_command(command_v)
+        self._open_samples = self._open_samples + 1 if self._command_v <= 0 and not self.in_contact else 0
         self._move_jaws()
-        strain_v, encoder_deg = compute_sensor_signals(self._tool, *self._compute_handle_signals())
+        strain_v, encoder_deg = compute_sensor_signals_from_jaws(self._tool, *self._compute_handle_signals())
         touch_v = (
             TOUCH_ACTIVE_V if self.in_contact and self.tissue_displacement_m >= self._deviation.touch_late_m else 0.0
         )
@@ -93,15 +105,27 @@ class SimulatedGrasper:
         return self.force_n * off.force_scale * (1.0 + friction), self.jaw_displacement_m + tightened_m
 
     def _draw_specimen(self) -> Specimen:
-        scatter = (
-            np.random.default_rng([self._seed, 1, self._grasp_count]).standard_normal(4) * self._mechanics.spread_scale
-        )
-        return Specimen.draw(self._library, self.tissue, scatter.tolist(), self._deviation)
+        """Draw what the next grasp holds: on a new spot a specimen of the tissue, on the same spot nearly the same.
+
+        Each grasp by itself has the spread of the library, also the first one on a spot.
+        """
+        scale, random = self._mechanics.spread_scale, np.random.default_rng([self._seed, 1, self._grasp_count])
+        drawn = random.standard_normal(5)
+        spread = self._library.spread_of(self.tissue)
+        usual = np.maximum([spread.log_alpha, spread.log_beta, spread.log_damping], 1e-6)
+        share = np.zeros(5)  # of the variance, between grasps on one spot; none of thickness and preload
+        share[:3] = np.minimum(np.array(GRASP_SCATTER_LOG_SD) / usual, 1.0) ** 2
+        if self._spot is None or self._spot[0] != self.tissue:
+            of_spot = (1 - share) * drawn + np.sqrt(share * (1 - share)) * random.standard_normal(5)
+            self._spot = self.tissue, of_spot
+        else:
+            drawn = self._spot[1] + np.sqrt(share) * drawn
+        return Specimen.draw(self._library, self.tissue, (drawn * scale).tolist(), self._deviation)
 
     @property
     def _free_travel_m(self) -> float:
         """Travel of the jaws before contact: thick tissue fills them, and empty jaws meet each other."""
-        opening_m = self._tool.geometry.opening_m
+        opening_m = self._tool.opening_m
         if self.gauge_m is not None:
             return min(self._max_travel_m, self._max_travel_m if opening_m is None else opening_m - self.gauge_m)
         least_m = self._mechanics.free_travel_m
@@ -110,6 +134,8 @@ class SimulatedGrasper:
     def _set_command(self, command_v: float) -> None:
         if self._command_v <= 0 and not self.in_contact:  # a new closing of the jaws
             self._grasp_count += 1
+            if self._open_samples * self._dt_s > NEW_SPOT_AFTER_S:
+                self._spot = None
             self.specimen = self._draw_specimen()
         self._command_v = command_v
         self._commanded_force_n = float(self._tool.command_to_force.to_force_n(command_v))
@@ -189,9 +215,8 @@ class SimulatedGrasper:
         return round(volts / lsb) * lsb if lsb else volts
 
     def _read_encoder(self, encoder_deg: float) -> float:
-        calibration = self._tool.calibration
-        count = calibration.encoder_resolution_deg
-        stretched_deg = encoder_deg + calibration.encoder_deg_per_volt * self._pull_v
+        count = self._tool.calibration.encoder_resolution_deg
+        stretched_deg = encoder_deg + self._tool.stretch_deg_per_volt * self._pull_v
         return math.floor(stretched_deg / count) * count
 
     @property

@@ -35,7 +35,7 @@ def create_in_process_options(board: SimulatedBoard) -> nidaqmx.GrpcSessionOptio
 def serve_tcp(
     board: SimulatedBoard, address: str = "127.0.0.1:0", credentials: grpc.ServerCredentials | None = None
 ) -> tuple[grpc.Server, int]:
-    """Serve `board` at `address`, encrypted with `credentials`; return the running server and its port.
+    """Serve a simulated board by gRPC at `address`, encrypted with `credentials`; return the server and its port.
 
     Raises:
         RuntimeError: the address is taken.
@@ -134,7 +134,7 @@ class BoardService(NiDAQmxServicer):
 
     @_convert_board_errors
     def CfgSampClkTiming(self, request: pb.CfgSampClkTimingRequest) -> pb.CfgSampClkTimingResponse:
-        self._board.set_sample_clock(request.task.name, request.rate, request.source)
+        self._board.configure_sample_clock_timing(request.task.name, request.rate, request.source)
         return pb.CfgSampClkTimingResponse()
 
     @_convert_board_errors
@@ -256,13 +256,13 @@ class InProcessGrpcChannel(grpc.Channel):
     stream_unary = stream_stream = unary_stream
 
     def subscribe(self, callback: Any, try_to_connect: bool | None = False) -> None:
-        """Do nothing: the connection never changes."""
+        """Do nothing: the state of an in-process connection never changes."""
 
     def unsubscribe(self, callback: Any) -> None:
-        """Do nothing."""
+        """Do nothing: there are no subscriptions in this process."""
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing: an in-process channel holds no connection."""
 
     def __enter__(self) -> "InProcessGrpcChannel":
         return self

@@ -1,15 +1,18 @@
-"""The tissue between the jaws of the simulated grasper, and its deformation."""
+"""The class Specimen, the simulated grasper's tissue, and the function that integrates its deformation."""
 
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
+import numpy as np
 
-from config.schema import TissueLibrary
+from acquisition.compilation import compiled
+from config.schema import TissueLibrary, TissueProfile
 
 SUBSTEPS = 5  # stable up to 1e6 N/m on 5 g
 HUNT_CROSSLEY_REFERENCE_N = 1.0  # elastic force at which damping that grows with force equals the profile's
+GRASP_SCATTER_LOG_SD = (0.03, 0.01, 0.05)  # of log alpha, beta, d of grasps on one spot; assumed
+PEAK_FORCE_N = 1.55  # of the paper's protocols, where damping that grows with displacement reaches its peak
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +21,7 @@ class ModelDeviation:
 
     mass_kg: float | None = None  # instead of the library's
     hunt_crossley: bool = False  # damping in proportion to the elastic force instead of constant
+    damping_at_peak: float = 0.0  # times the profile's at the peak, if damping grows in proportion to displacement
     relaxed_share: float = 0.0  # share of the elastic force that relaxes while the tissue is held
     relaxation_s: float = 0.5
     plateau_n: float = 0.0  # force of buckling cell walls of a foam, reached from `plateau_m` on
@@ -49,23 +53,35 @@ class Material(NamedTuple):
     damping_by_force: float = 0.0  # 1: Hunt-Crossley
     relaxed_share: float = 0.0
     relaxation_s: float = 1.0
+    damping_per_m: float = 0.0  # damping in proportion to displacement: times the profile's, per meter
 
 
 @dataclass(frozen=True, slots=True)
 class Specimen:
-    """One piece of tissue, drawn from its profile's spread."""
+    """One piece of tissue, drawn from its profile's spread. Of a fold held at a preload, alpha contains the preload."""
 
     tissue: str
     material: Material
     thickness_m: float
 
+    @property
+    def log_parameters(self) -> np.ndarray:
+        """Log alpha, log beta and log d, (3,)."""
+        return np.log([self.material.alpha_n, self.material.beta_per_m, self.material.damping_kg_per_s])
+
     @classmethod
     def draw(cls, library: TissueLibrary, tissue: str, scatter: list[float], deviation: ModelDeviation) -> "Specimen":
-        """Draw a specimen; `scatter`: deviations of log alpha, beta, d and thickness in standard deviations."""
+        """Draw a specimen.
+
+        `scatter`: deviations of log alpha, beta, d, thickness and preload in standard deviations.
+        """
         profile, spread = library.tissues[tissue], library.spread_of(tissue)
+        alpha_n = profile.alpha_n * math.exp(spread.log_alpha * scatter[0]) + _draw_preload(profile, scatter[4])
+        beta_per_m = profile.beta_per_m * math.exp(spread.log_beta * scatter[1])
+        peak_m = math.log1p(PEAK_FORCE_N / alpha_n) / beta_per_m
         material = Material(
-            profile.alpha_n * math.exp(spread.log_alpha * scatter[0]),
-            profile.beta_per_m * math.exp(spread.log_beta * scatter[1]),
+            alpha_n,
+            beta_per_m,
             profile.damping_kg_per_s * math.exp(spread.log_damping * scatter[2]),
             deviation.mass_kg or library.mass_kg,
             deviation.plateau_n,
@@ -73,11 +89,20 @@ class Specimen:
             float(deviation.hunt_crossley),
             deviation.relaxed_share,
             deviation.relaxation_s,
+            deviation.damping_at_peak / peak_m,
         )
         return cls(tissue, material, profile.thickness_m * math.exp(spread.log_thickness * scatter[3]))
 
 
-@njit(cache=True)
+def _draw_preload(profile: TissueProfile, scatter: float) -> float:
+    """Return the preload of a fold, N; 0 for tissue that the jaws take whole."""
+    if profile.preload_n is None:
+        return 0.0
+    low_n, high_n = profile.preload_n
+    return low_n * (high_n / low_n) ** (0.5 * math.erfc(-scatter / math.sqrt(2.0)))  # a share that is uniform in [0, 1]
+
+
+@compiled
 def integrate_tissue(
     x_m: float,
     v_m_per_s: float,
@@ -112,7 +137,7 @@ def integrate_tissue(
     return x_m, v_m_per_s, relaxed_n
 
 
-@njit(cache=True)
+@compiled
 def _compute_derivatives(
     x_m: float, v_m_per_s: float, relaxed_n: float, force_n: float, material: Material
 ) -> tuple[float, float]:
@@ -120,7 +145,12 @@ def _compute_derivatives(
     elastic_n = material.alpha_n * math.expm1(min(material.beta_per_m * x_m, 50.0))
     if material.plateau_n > 0.0 and x_m > 0.0:
         elastic_n -= material.plateau_n * math.expm1(-x_m / material.plateau_m)
-    by_force = max(elastic_n, 0.0) / HUNT_CROSSLEY_REFERENCE_N
-    damping = material.damping_kg_per_s * (1.0 + material.damping_by_force * (by_force - 1.0))
+    if material.damping_by_force > 0.0:
+        share = material.damping_by_force * max(elastic_n, 0.0) / HUNT_CROSSLEY_REFERENCE_N
+    elif material.damping_per_m > 0.0:
+        share = material.damping_per_m * max(x_m, 0.0)
+    else:
+        share = 1.0
+    damping = material.damping_kg_per_s * share
     acceleration = (force_n - damping * v_m_per_s - elastic_n + relaxed_n) / material.mass_kg
     return acceleration, (material.relaxed_share * elastic_n - relaxed_n) / material.relaxation_s

@@ -1,4 +1,4 @@
-"""Wiring faults: a plant between the simulated board and the simulated grasper.
+"""The class MiswiredGrasper, which simulates wiring faults: a plant between simulated board and simulated grasper.
 
 For a sensor that never worked, use `FaultySensors` with a fault at sample 0.
 """

@@ -1,17 +1,17 @@
-"""Calibrations guided from the dashboard: readings come from the live samples, and motion is an ordinary run."""
+"""The class CalibrationSession: calibrations guided from the dashboard, with live samples and ordinary runs."""
 
 import asyncio
-import getpass
 from itertools import dropwhile
 from pathlib import Path
 
 from acquisition import bus
-from acquisition.bench import fits, readings
+from acquisition.bench import calibration_bench, fits
 from acquisition.bench.calibration_file import write_calibration_file
 from acquisition.bench.checks import RawSignals
-from acquisition.bench.fits import CalibrationFit, LoadingPass
+from acquisition.bench.fits import CalibrationFit, ForcePass
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleBlock
+from app.host.computer_user import computer_user_name
 from app.messages.calibration import (
     Calibration,
     CalibrationKind,
@@ -21,7 +21,6 @@ from app.messages.calibration import (
     Constant,
 )
 from app.service.arming import CALIBRATION_ARM_REASON
-from app.service.runs import RunUnderWayError
 from app.service.tool_service import ToolService
 from config.errors import CalibrationError, RefusedError, ServiceError
 from config.load import load_tool
@@ -31,9 +30,9 @@ from config.writing import check_writable
 
 SAMPLE_TIMEOUT_S = 3.0
 REST_DURATIONS_S = {
-    CalibrationKind.TARE: readings.TARE_S,
-    CalibrationKind.STRAIN: readings.WEIGHT_S,
-    CalibrationKind.FORCE: readings.WEIGHT_S,
+    CalibrationKind.TARE: calibration_bench.TARE_S,
+    CalibrationKind.STRAIN: calibration_bench.WEIGHT_S,
+    CalibrationKind.FORCE: calibration_bench.WEIGHT_S,
 }
 MAX_PLOT_POINTS = 500
 NO_CALIBRATION = Calibration(what=None, values=[], readings=[], reading=False, problem=None, result=None)
@@ -44,16 +43,20 @@ class CalibrationSession:
 
     def __init__(self, plan: ServicePlan, tool_service: ToolService) -> None:
         self._plan, self._tool_service = plan, tool_service
-        self._tool_source = (
-            plan.tool_source or plan.tool.name
-        )  # each calibration builds on the tool file of the one before
+        self._newest_file: str | None = None  # of the last calibration, unless another tool file was put to use since
+        self._is_changing_tool = False
         self._collected_blocks: list[SampleBlock] | None = None
         self._block_arrived = asyncio.Event()
         self._request: CalibrationRequest | None = None
         self._rest_readings: list[RawSignals] = []
-        self._motion_readings: list[list[LoadingPass]] = []
+        self._motion_readings: list[list[ForcePass]] = []
         self.state = NO_CALIBRATION
         tool_service.receiver.listeners.append(self._on_block)
+
+    @property
+    def tool_source(self) -> str:
+        """Name or path of the tool file that the next calibration builds on: that of the one before."""
+        return self._newest_file or self._plan.tool_source or self._plan.tool.name
 
     def _on_block(self, block: SampleBlock) -> None:
         if self._collected_blocks is not None:
@@ -69,6 +72,8 @@ class CalibrationSession:
             ConfigurationError: the tool file could not be written.
         """
         self._check_idle()
+        if request.what in (CalibrationKind.STRAIN, CalibrationKind.STRETCH, CalibrationKind.GEOMETRY):
+            fits.check_has_linkage(self._plan.tool, request.what.value)
         check_writable(self._folder)
         values = [0.0]
         if request.what is CalibrationKind.STRAIN:
@@ -93,6 +98,25 @@ class CalibrationSession:
     def _check_idle(self) -> None:
         if self.state.reading:
             raise RefusedError("A reading is under way. Wait for it, or press STOP.")
+        if self._is_changing_tool:
+            raise RefusedError("Another tool file is being put to use. Try again in a few seconds.")
+
+    async def use_tool_file(self, path: Path, by: str | None) -> None:
+        """Let the tool and the next calibration go on with the constants of a tool file.
+
+        Raises:
+            RefusedError: a calibration or a run is under way, or the file is of another tool.
+            ConfigurationError: the file has faults, or the library does not fit its constants.
+        """
+        self._check_idle()
+        if self._request and not self.state.result:
+            raise RefusedError("A calibration is under way. Finish it, or discard it first.")
+        self._is_changing_tool = True
+        try:
+            await self._tool_service.use_tool_file(path, by)
+        finally:
+            self._is_changing_tool = False
+        self._newest_file = None
 
     async def take_reading(self, by: str | None) -> None:
         """Take the next reading; after the last one, fit the constants and write the tool file.
@@ -105,8 +129,7 @@ class CalibrationSession:
         self._check_idle()
         if self._request is None or self._reading_count == len(self.state.values):
             raise RefusedError("Nothing is left to read: begin a calibration.")
-        if self._tool_service.runs.current:  # known before its first block arrives
-            raise RunUnderWayError(self._tool_service.runs.current)
+        self._tool_service.check_ready()
         request, value = self._request, self.state.values[self._reading_count]
         self._update_state(reading=True, problem=None)
         try:
@@ -126,7 +149,7 @@ class CalibrationSession:
     def _reading_count(self) -> int:
         return len(self._rest_readings) + len(self._motion_readings)
 
-    async def _measure(self, what: CalibrationKind, value: float, by: str | None) -> RawSignals | list[LoadingPass]:
+    async def _measure(self, what: CalibrationKind, value: float, by: str | None) -> RawSignals | list[ForcePass]:
         try:
             if what not in REST_DURATIONS_S:
                 return await self._measure_in_motion(what, value, by)
@@ -142,7 +165,7 @@ class CalibrationSession:
         self.state = self.state.model_copy(update=changes)
 
     def _load_newest_tool(self) -> Tool:
-        return load_tool(self._tool_source)
+        return load_tool(self.tool_source)
 
     async def _measure_at_rest(self, what: CalibrationKind, value: float, by: str | None) -> RawSignals:
         if (
@@ -151,7 +174,7 @@ class CalibrationSession:
             await self._tool_service.arming.disarm(by)
         pull_n = {
             CalibrationKind.STRAIN: value,
-            CalibrationKind.FORCE: readings.compute_handle_pull(self._plan.tool, value),
+            CalibrationKind.FORCE: calibration_bench.compute_handle_pull(self._plan.tool, value),
         }.get(what, 0.0)
         await self._set_simulated_load(pull_n, None)
         try:
@@ -166,14 +189,14 @@ class CalibrationSession:
         finally:
             taken, self._collected_blocks = self._collected_blocks or [], None
             await self._set_simulated_load(0.0, None)
-        return readings.extract_signals(_drop_late_blocks(taken))
+        return calibration_bench.extract_signals(_drop_late_blocks(taken))
 
-    async def _measure_in_motion(self, what: CalibrationKind, value: float, by: str | None) -> list[LoadingPass]:
+    async def _measure_in_motion(self, what: CalibrationKind, value: float, by: str | None) -> list[ForcePass]:
         await self._set_simulated_load(0.0, value * 1e-3 if what is CalibrationKind.GEOMETRY else 0.0)
         try:
             self._collected_blocks = []
             run = await self._tool_service.run_controller.start(
-                readings.build_closing_protocol(), 1, None, by, self._unmeasured_scale_reason
+                calibration_bench.build_closing_protocol(), 1, None, by, self._unmeasured_scale_reason
             )
             while self._tool_service.runs.current and self._tool_service.runs.current.id == run.id:
                 self._block_arrived.clear()
@@ -189,8 +212,8 @@ class CalibrationSession:
             arming = self._tool_service.arming
             if arming.safety is Safety.ARMED and arming.unmeasured_scale_reason == CALIBRATION_ARM_REASON:
                 await arming.disarm(by)  # it was armed for this reading alone
-        played = readings.extract_signals([block for block in taken if block.run == run.id])
-        return readings.extract_passes(played, self._load_newest_tool())
+        played = calibration_bench.extract_signals([block for block in taken if block.run == run.id])
+        return calibration_bench.extract_force_passes(played, self._load_newest_tool())
 
     async def _set_simulated_load(self, pull_n: float, gauge_m: float | None) -> None:
         """Load the simulated tool as a person loads a real one: a pull on the handle, or a gauge block in the jaws."""
@@ -200,16 +223,16 @@ class CalibrationSession:
     async def _finish(self, request: CalibrationRequest, by: str | None) -> None:
         """Fit in a thread, as the first fit loads slow modules, then write the tool file; a failure sets `problem`."""
         tool = self._load_newest_tool()
-        person = request.person or by or getpass.getuser()
+        person = request.person or by or computer_user_name()
         try:
             fit = await asyncio.to_thread(self._fit, request, tool)
         except CalibrationError as error:
             self._update_state(problem=f"{error} Nothing was written.")
             raise
         path = await asyncio.to_thread(
-            write_calibration_file, fit, self._tool_source, person, request.valid_days, self._folder
+            write_calibration_file, fit, self.tool_source, person, request.valid_days, self._folder
         )
-        self._tool_source = str(path)
+        self._newest_file = str(path)
         self._update_state(result=_build_result(fit, tool, path))
         names = ", ".join(each.key for each in fit.constants)
         self._tool_service.publisher.publish_event(f"Calibrated: {names}; written to {path}", by=by)
@@ -232,9 +255,9 @@ class CalibrationSession:
             case CalibrationKind.FORCE:
                 return fits.fit_force_scale(self.state.values, self._rest_readings, tool, request.load_cell_error)
             case CalibrationKind.STRETCH:
-                return fits.fit_stretch(self._motion_readings[0], tool)
+                return fits.fit_cable_stretch(self._motion_readings[0], tool)
             case CalibrationKind.GEOMETRY:
-                passes = [readings.merge_passes(found) for found in self._motion_readings]
+                passes = [calibration_bench.merge_passes(found) for found in self._motion_readings]
                 return fits.fit_geometry([each * 1e-3 for each in self.state.values], passes, tool)
 
 
@@ -243,8 +266,8 @@ def _drop_late_blocks(blocks: list[SampleBlock]) -> list[SampleBlock]:
     return list(dropwhile(lambda block: block.backlog >= len(block.samples), blocks))[1:]
 
 
-def _summarize_reading(value: float, found: RawSignals | list[LoadingPass]) -> CalibrationReading:
-    signals = found if isinstance(found, RawSignals) else readings.merge_passes(found)
+def _summarize_reading(value: float, found: RawSignals | list[ForcePass]) -> CalibrationReading:
+    signals = found if isinstance(found, RawSignals) else calibration_bench.merge_passes(found)
     return CalibrationReading(
         value=value, strain_v=float(signals.strain_v.mean()), encoder_deg=float(signals.encoder_deg.mean())
     )

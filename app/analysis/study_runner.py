@@ -1,4 +1,4 @@
-"""The service's studies: the one under way, and those that it and earlier services carried out."""
+"""The class StudyRunner: the service's study under way, and those that it and earlier services carried out."""
 
 import asyncio
 import logging
@@ -10,10 +10,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
-from app.host.atomic_write import write_atomically
 from app.host.background_process import SendMessage, run_in_background_process
 from app.messages.stored import read_stored
 from app.messages.studies import StudyRun, StudyState
+from config.atomic_write import write_atomically
 from config.errors import RefusedError, ServiceError
 from estimator.studies.catalog import STUDIES, StudyDefinition
 
@@ -54,7 +54,7 @@ class StudyRunner:
         return self.folder / run.id / f"study-{run.study}.{ending}"
 
     def start(self, entry: StudyDefinition, grasps: int, seed: int, by: str | None) -> StudyRun:
-        """Start a study.
+        """Start a study in a background process; return its description with id and state.
 
         Raises:
             RefusedError: another study is under way.

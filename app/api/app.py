@@ -1,10 +1,12 @@
-"""The web server: REST, WebSocket, metrics, documentation and the dashboard's files."""
+"""Functions that create and serve the web application: REST, WebSocket, metrics, documentation, dashboard."""
 
 import asyncio
 import contextlib
 import logging
+import multiprocessing
+import signal
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 import uvicorn
@@ -26,7 +28,8 @@ from app.api.routes import (
     audit,
     bin,
     calibration,
-    control,
+    configuration,
+    control_lease,
     history,
     live,
     recordings,
@@ -43,7 +46,7 @@ from app.http.connection_limiter import (
     LingeringWebSocketProtocol,
     TlsTimeoutEventLoop,
     make_connection_limiter,
-    raise_open_file_limit,
+    reserve_open_files,
 )
 from app.http.idempotency import IdempotentAnswers
 from app.http.methods import build_head_router
@@ -56,7 +59,8 @@ from app.people.route_permissions import collect_route_permissions, find_public_
 from app.recordings.catalog import RecordingCatalog
 from app.recordings.index_reader import RECORDING_READERS
 from app.recordings.replay.cache_store import ReplayCacheStore
-from app.service.demonstration import run_demo
+from app.service.configuration_files import ConfigurationFiles
+from app.service.demonstration import play_demonstration
 from app.service.journal_watch import JournalWatch
 from app.service.tool_service import ToolService
 from config.errors import ServiceError
@@ -64,7 +68,16 @@ from config.service_plan import ServicePlan
 
 STATIC_FOLDER = Path(__file__).parents[1] / "static"
 TCP_USER_TIMEOUT_MS = 10_000
-DASHBOARD_PATHS = ("/", "/recordings", "/recordings/{name}", "/tissues", "/studies", "/system", "/calibration")
+DASHBOARD_PATHS = (
+    "/",
+    "/recordings",
+    "/recordings/{name}",
+    "/tissues",
+    "/studies",
+    "/system",
+    "/calibration",
+    "/configuration",
+)
 DOCUMENTATION_PATHS = ("/docs", "/redoc", "/static-offline-docs")
 CONTENT_SECURITY_POLICY = (
     "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
@@ -79,13 +92,14 @@ SECURITY_HEADERS = {
 }
 ROUTE_MODULES = (
     runs,
-    control,
+    control_lease,
     calibration,
     session,
     history,
     audit,
     alarms,
     tool,
+    configuration,
     system,
     studies,
     recordings,
@@ -111,17 +125,22 @@ def create_app(plan: ServicePlan) -> FastAPI:
 
     @contextlib.asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        tool_service = ToolService(plan, store, log_context)
+        try:
+            tool_service = ToolService(plan, store, log_context)
+            await tool_service.start()
+        except Exception as error:
+            app.state.start_error = error  # for `serve`: uvicorn would only log it
+            raise
         studies = StudyRunner(plan.studies_folder, lambda text, by: tool_service.publisher.publish_event(text, by=by))
         replay_caches, reports, catalog = ReplayCacheStore(plan), ReportCache(plan), RecordingCatalog(plan)
+        calibration_session = CalibrationSession(plan, tool_service)
         index = contextlib.aclosing(tool_service.index_writer)  # closed last: the other parts write to it as they end
-        await tool_service.start()
         recording_bin = RecordingBin(plan, tool_service, replay_caches, reports)
         journal_watch = JournalWatch(plan.data_folder, tool_service.index_writer, tool_service.alarms)
         app.state.services = Services(
             authenticator,
             tool_service,
-            CalibrationSession(plan, tool_service),
+            calibration_session,
             studies,
             replay_caches,
             catalog,
@@ -129,10 +148,11 @@ def create_app(plan: ServicePlan) -> FastAPI:
             journal_watch,
             recording_bin,
             IdempotentAnswers(),
+            ConfigurationFiles(plan, tool_service.runs, lambda: calibration_session.tool_source),
         )
         watch = asyncio.create_task(authenticator.watch_token_file(tool_service))
         tool_service.tasks.watch(watch)
-        demo = asyncio.create_task(run_demo(tool_service)) if plan.demo_enabled else None
+        demo = asyncio.create_task(play_demonstration(tool_service)) if plan.demo_enabled else None
         async with (
             index,
             studies,
@@ -158,7 +178,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
         generate_unique_id_function=make_operation_id,
         lifespan=lifespan,
     )
-    app.state.log_context = log_context
+    app.state.log_context, app.state.start_error = log_context, None
     rights = collect_route_permissions(ROUTERS)
     describe_api(app, rights)
     problems.add_error_handlers(app, [route for router in ROUTERS for route in router.routes])
@@ -170,6 +190,7 @@ def create_app(plan: ServicePlan) -> FastAPI:
         authenticator=authenticator,
         public_paths=find_public_paths(rights),
         max_body_bytes=plan.settings.server.most_body_bytes,
+        max_upload_bytes={configuration.DRAFT_PATH: configuration.MAX_RECORDING_BYTES},
     )
     app.middleware("http")(_add_security_headers)
     app.add_middleware(AuditMiddleware, get_journal=lambda: app.state.services.tool.journal)
@@ -229,13 +250,17 @@ def open_listener(host: str, port: int) -> socket.socket:
     return listener
 
 
-def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
-    """Serve until SIGINT or SIGTERM."""
+def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan, on_started: Callable[[], None]) -> None:
+    """Serve until SIGINT, SIGTERM or SIGHUP; call `on_started` once the workers are started.
+
+    Raises:
+        Exception: the tool's service or its workers could not be started.
+    """
     server = plan.settings.server
     configure_logging(plan.settings.logs, plan.data_folder, app.state.log_context)
     config = uvicorn.Config(
         app,
-        http=make_connection_limiter(server.most_connections),
+        http=make_connection_limiter(reserve_open_files(server.most_connections)),
         ws=LingeringWebSocketProtocol,
         ws_per_message_deflate=False,
         ws_max_size=MAX_WEBSOCKET_MESSAGE_BYTES,
@@ -249,18 +274,40 @@ def serve(app: FastAPI, listener: socket.socket, plan: ServicePlan) -> None:
         # uvicorn only passes it to `asyncio.wait_for`, which takes fractions
         timeout_graceful_shutdown=SHUTDOWN_GRACE_S,  # pyright: ignore[reportArgumentType]
     )
-    logging.getLogger("uvicorn.error").addFilter(_is_no_refused_handshake)
-    raise_open_file_limit()
+    logging.getLogger("uvicorn.error").addFilter(
+        lambda record: app.state.start_error is None and _is_no_refused_handshake(record)
+    )
     with asyncio.Runner(loop_factory=TlsTimeoutEventLoop) as runner:
-        runner.run(_Server(config, app).serve(sockets=[listener]))
+        runner.run(_Server(config, app, on_started).serve(sockets=[listener]))
+    if app.state.start_error:
+        for worker in multiprocessing.active_children():
+            worker.terminate()
+        raise app.state.start_error
 
 
 class _Server(uvicorn.Server):
     """A uvicorn server that halts the tool before it waits for connections to end."""
 
-    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+    def __init__(self, config: uvicorn.Config, app: FastAPI, on_started: Callable[[], None]) -> None:
         super().__init__(config)
-        self._app = app
+        self._app, self._on_started = app, on_started
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self._app.state.start_error is None:
+            self._on_started()
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Handle SIGHUP, the end of the terminal, as uvicorn handles SIGTERM; it raises both again afterwards."""
+        with super().capture_signals():
+            before = signal.getsignal(signal.SIGHUP)
+            if before is not signal.SIG_IGN:
+                signal.signal(signal.SIGHUP, self.handle_exit)
+            try:
+                yield
+            finally:
+                signal.signal(signal.SIGHUP, before)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         await self._app.state.services.tool.run_controller.halt()

@@ -1,4 +1,4 @@
-"""The parts of the service that routes use, each as a dependency of a route."""
+"""Dependencies of routes: one for each part of the service that routes use, and the renewal of control."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,13 +18,14 @@ from app.people.authenticator import Authenticator
 from app.people.authorization import get_user
 from app.recordings.catalog import RecordingCatalog
 from app.recordings.replay.cache_store import ReplayCacheStore
+from app.service.configuration_files import ConfigurationFiles
 from app.service.journal_watch import JournalWatch
 from app.service.tool_service import ToolService
 
 
 @dataclass(frozen=True, slots=True)
 class Services:
-    """Parts that live as long as the application; its lifespan creates and closes them."""
+    """The service's parts that live as long as the web application; its lifespan creates and closes them."""
 
     authenticator: Authenticator
     tool: ToolService
@@ -36,6 +37,7 @@ class Services:
     journal_watch: JournalWatch
     recording_bin: RecordingBin
     started_runs: IdempotentAnswers[Run]
+    configuration_files: ConfigurationFiles
 
 
 def _dependency(read: Callable[[Services], object]) -> Any:
@@ -54,6 +56,7 @@ CatalogDep = Annotated[RecordingCatalog, _dependency(lambda services: services.c
 ReportsDep = Annotated[ReportCache, _dependency(lambda services: services.reports)]
 JournalWatchDep = Annotated[JournalWatch, _dependency(lambda services: services.journal_watch)]
 RecordingBinDep = Annotated[RecordingBin, _dependency(lambda services: services.recording_bin)]
+ConfigurationFilesDep = Annotated[ConfigurationFiles, _dependency(lambda services: services.configuration_files)]
 StartedRunsDep = Annotated[IdempotentAnswers[Run], _dependency(lambda services: services.started_runs)]
 
 

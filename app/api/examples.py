@@ -7,6 +7,18 @@ from app.messages.alarms import AcknowledgeRequest, Alarm, AlarmKind
 from app.messages.calibration import Calibration, CalibrationKind, CalibrationReading, CalibrationRequest
 from app.messages.grasps import Grasp, GraspEnded
 from app.messages.journal import JournalCheck, JournalEntry, JournalKind
+from app.messages.live import NO_REFERENCE
+from app.messages.named_files import (
+    ColumnSummary,
+    FileCheck,
+    FileContent,
+    FileList,
+    FileRequest,
+    FileText,
+    NamedFile,
+    TimeColumnGuess,
+    ToolDraftReport,
+)
 from app.messages.people import ControlInfo, ControlRequest, Role, SessionInfo, SignIn
 from app.messages.recordings import (
     BinContent,
@@ -18,7 +30,7 @@ from app.messages.recordings import (
     Recordings,
     ReportProgress,
 )
-from app.messages.runs import Run, RunRequest, RunState, SpotRequest, StopAnswer, StopRequest
+from app.messages.runs import DeclineRequest, Run, RunRequest, RunState, SpotRequest, StopAnswer, StopRequest
 from app.messages.studies import Studies, StudyInfo, StudyRequest, StudyRun, StudyState
 from app.messages.system import Health, Problem, System
 from app.messages.tool import (
@@ -33,6 +45,7 @@ from app.messages.tool import (
     ToolInfo,
 )
 from app.service.runs import RunUnderWayError
+from config.load import FileKind
 from config.schema import ToolKind
 from estimator.force_alarms import Priority
 
@@ -123,6 +136,31 @@ _STUDY = StudyRun(
     report=None,
 )
 
+_PROTOCOL = ProtocolInfo(
+    name="trapezoid_2hz",
+    title="Trapezoid, 2 Hz",
+    cycles=3,
+    cycle_s=0.5,
+    peak_command_v=2.0,
+    refused=None,
+    time_s=[0.0, 0.1, 0.2, 0.4],
+    command_v=[0.0, 2.0, 2.0, 0.0],
+)
+_PROTOCOL_FILE = NamedFile(
+    kind=FileKind.PROTOCOL, name="hold_3s", title="Hold for 3 s", shipped=False, problems=[], in_use=None
+)
+_PROTOCOL_TEXT = """name = "hold_3s"
+title = "Hold for 3 s"
+
+[waveform]
+shape = "trapezoid"
+peak_v = 1.0
+ramp_up_s = 0.5
+hold_s = 3.0
+ramp_down_s = 0.5
+rest_s = 1.0
+"""
+
 EXAMPLES: dict[str, BaseModel] = {
     type(each).__name__: each
     for each in (
@@ -130,7 +168,29 @@ EXAMPLES: dict[str, BaseModel] = {
         ArmRequest(by="Ada"),
         StopRequest(by="Ada"),
         SpotRequest(by="Ada"),
+        DeclineRequest(by="Ada"),
         AcknowledgeRequest(by="Ada", priority=Priority.MEDIUM),
+        FileText(text=_PROTOCOL_TEXT),
+        FileRequest(text=_PROTOCOL_TEXT, by="Ada"),
+        FileList(folder="/var/lib/graspwatch", files=[_PROTOCOL_FILE]),
+        FileCheck(problems=[], name="hold_3s", protocol=_PROTOCOL, library=None),
+        ToolDraftReport(
+            columns=[ColumnSummary(number=2, name="force", low=0.0, high=302.5, means=[0.1, 151.0, 0.2])],
+            times=TimeColumnGuess(column=1, unit="ms", rate_hz=370.0),
+            text=None,
+            assumed=[],
+            grasps=0,
+            first_grasps=[],
+        ),
+        FileContent(
+            problems=[],
+            name="hold_3s",
+            protocol=_PROTOCOL,
+            library=None,
+            file=_PROTOCOL_FILE,
+            text=_PROTOCOL_TEXT,
+            version="b1f04c6a7d2e9380",
+        ),
         CalibrationRequest(what=CalibrationKind.STRAIN, values=[0.0, 5.0, 10.0], person="Ada"),
         ControlRequest(take_over=True),
         SignIn(token="the-token-that-graspwatch-token-add-printed"),
@@ -144,6 +204,7 @@ EXAMPLES: dict[str, BaseModel] = {
         GraspEnded(run_id=_RUN.id, grasp=_GRASP),
         StopAnswer(stopped=True, run=_RUN.model_copy(update={"state": RunState.STOPPED})),
         SafetyReport(safety=Safety.ARMED),
+        NO_REFERENCE.model_copy(update={"declined": True}),
         ControlInfo(holder="Ada", expires_in_s=287.0),
         SessionInfo(needed=True, name="Ada", role=Role.OPERATOR),
         Calibration(
@@ -188,16 +249,7 @@ EXAMPLES: dict[str, BaseModel] = {
             calibration_date="2026-11-02",
             calibrated_by="Ada",
         ),
-        ProtocolInfo(
-            name="trapezoid_2hz",
-            title="Trapezoid, 2 Hz",
-            cycles=3,
-            cycle_s=0.5,
-            peak_command_v=2.0,
-            refused=None,
-            time_s=[0.0, 0.1, 0.2, 0.4],
-            command_v=[0.0, 2.0, 2.0, 0.0],
-        ),
+        _PROTOCOL,
         LibraryInfo(
             name="porcine",
             title="Porcine abdominal tissues",

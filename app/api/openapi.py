@@ -1,4 +1,4 @@
-"""The description of the REST interface: OpenAPI, which the service answers at `/openapi.json`."""
+"""Functions that describe the REST interface as OpenAPI, which the service answers at `/openapi.json`."""
 
 from http import HTTPStatus
 from typing import Any
@@ -18,6 +18,7 @@ TAGS = [
     {"name": "control", "description": "Who may start runs: one operator at a time, where people have tokens."},
     {"name": "alarms", "description": "Present alarms, their acknowledgment, and the journal since the start."},
     {"name": "calibration", "description": "Calibrate the tool, one reading at a time."},
+    {"name": "configuration", "description": "Own protocols, libraries and tool files, beside the shipped ones."},
     {"name": "tool", "description": "The tool, its protocols and tissues, and the health of the service."},
     {
         "name": "recordings",

@@ -1,4 +1,4 @@
-"""Deletion, restoration and permanent removal of recordings; the journal records each removal before it happens."""
+"""The class RecordingBin: deletes, restores and removes recordings; the journal records each removal beforehand."""
 
 import asyncio
 import logging
@@ -44,7 +44,7 @@ class RecordingBin:
         tool_service.tasks.watch(self._expiry_task)
 
     async def list_content(self) -> BinContent:
-        """List the deleted recordings, with who deleted each.
+        """Return the deleted recordings, with who deleted each.
 
         Raises:
             ServiceError: the index cannot be queried.

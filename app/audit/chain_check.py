@@ -1,4 +1,4 @@
-"""The check that the journal is as it was written, by its own chain and by checkpoints elsewhere.
+"""The function that checks whether the journal is as it was written, by its own chain and checkpoints elsewhere.
 
 The chain alone reveals every change except a missing end. Checkpoints reveal that too: the index holds the lines as
 they were written, and each recording holds those written while it was made.
@@ -32,7 +32,7 @@ class _ChainBrokenError(Exception):
 
 @dataclass(slots=True)
 class ChainVerifier:
-    """The check of all lines in order, with its findings so far."""
+    """Verifier of all journal lines in order, with its findings so far."""
 
     last_link: ChainLink | None = None
     hashes: dict[int, str] = field(default_factory=dict)
@@ -108,7 +108,7 @@ class ChainVerifier:
 def check_journal(
     data: Path, index_checkpoints: Iterable[ChainCheckpoint], recording_checkpoints: Iterable[ChainCheckpoint] = ()
 ) -> JournalCheck:
-    """Check the whole journal of a data folder.
+    """Check the whole journal of a data folder, and return the findings.
 
     Read the checkpoints before this call: a line written later is in the journal before it is in a checkpoint. The
     checkpoints of the index belong to this journal; recordings may come from elsewhere.

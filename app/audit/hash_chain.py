@@ -1,4 +1,4 @@
-"""The journal's hash chain: each line ends with its own hash and holds the hash of the line before.
+"""Functions for the journal's hash chain: each line ends with its own hash and holds the hash of the line before.
 
 So no line can be changed, removed or inserted without a mismatch in a later line. The hash covers the bytes in the
 file, so that a check need not serialize a line again.

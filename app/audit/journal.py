@@ -1,4 +1,4 @@
-"""The journal of events and requests: JSON lines in `journal.jsonl`, the newest also in memory."""
+"""The class Journal, which writes events and requests as JSON lines to `journal.jsonl`, the newest also in memory."""
 
 import asyncio
 import logging

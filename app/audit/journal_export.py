@@ -1,4 +1,4 @@
-"""The export of the journal, as its own lines or as a table."""
+"""The function that exports the journal, as its own lines or as a table."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""The journal's file, to which several programs may append at once, each line in its place in the chain."""
+"""The class JournalFile, to which several programs may append at once, each line in its place in the chain."""
 
 import contextlib
 import errno
@@ -52,7 +52,7 @@ class JournalFile:
         return written
 
     def sync(self) -> None:
-        """Wait until all written lines are on the disk.
+        """Wait until all lines of the journal that were written so far are on the disk.
 
         Raises:
             OSError: the sync failed.
@@ -135,20 +135,21 @@ def read_journal_lines(path: Path) -> Iterator[bytes]:
         JournalError: the file cannot be read to its end.
     """
     try:
-        with open_journal(path) as file:
+        with open_journal_for_reading(path) as file:
             while line := file.readline(MAX_LINE_BYTES):  # a longer line is not ours, and must not fill the memory
                 yield line
     except (OSError, EOFError, zlib.error) as error:
         raise JournalError(f"{path}: cannot be read to its end ({error}). Allow reading, or copy it again.") from None
 
 
-def open_journal(path: Path) -> io.BufferedIOBase:
+def open_journal_for_reading(path: Path) -> io.BufferedIOBase:
+    """Open a file of the journal for reading, as bytes; a rotated one is unpacked."""
     return gzip.open(path) if path.name.endswith(".gz") else path.open("rb")
 
 
 def _read_links(path: Path) -> Iterator[ChainLink]:
     """Yield the links of all chained lines, as far as the file can be read."""
-    with contextlib.suppress(OSError, EOFError, zlib.error), open_journal(path) as file:
+    with contextlib.suppress(OSError, EOFError, zlib.error), open_journal_for_reading(path) as file:
         while line := file.readline(MAX_LINE_BYTES):
             if link := parse_link(line):
                 yield link

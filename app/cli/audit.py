@@ -11,8 +11,9 @@ from app.audit.chain_check import ChainCheckpoint, check_journal
 from app.audit.journal_export import JournalFilter, JournalFormat
 from app.audit.journal_export import export_lines as lines
 from app.cli.console import create_console
-from app.cli.options import ConfigOption, DataOption, JsonOption, ProgressBar, prepare_data_folder
+from app.cli.options import ConfigOption, DataOption, JsonOption, ProgressBar, explain_write_errors, find_data_folder
 from app.messages.journal import JournalCheck, JournalEntry
+from config.atomic_write import open_atomically
 from config.errors import ConfigurationError, GraspwatchError, JournalError
 from config.load import load_settings
 from config.schema import Settings
@@ -31,7 +32,7 @@ def verify(config: ConfigOption = None, data: DataOption = None, as_json: JsonOp
     Example: graspwatch audit verify --data graspwatch-data
     """
     settings = load_settings(config)
-    folder = prepare_data_folder(data, settings)
+    folder = find_data_folder(data, settings)
     notes: list[str] = []
     index = _read_index_checkpoints(settings, folder, notes)
     found = check_journal(folder, index, _read_recording_checkpoints(folder, notes))
@@ -106,18 +107,15 @@ def export(
 
     Example: graspwatch audit export --format csv --since 2026-11-01 --by Ada --out november.csv
     """
-    folder = prepare_data_folder(data, load_settings(config))
+    folder = find_data_folder(data, load_settings(config))
     chosen = JournalFilter(_parse_time("--since", since), _parse_time("--until", until), by)
     if out is None:
         for line in lines(folder, chosen, journal_format):
             sys.stdout.buffer.write(line)
         sys.stdout.flush()
         return
-    try:
-        with out.open("xb") as file:
-            file.writelines(lines(folder, chosen, journal_format))
-    except OSError as error:
-        raise ConfigurationError(f"{out}: cannot be written ({error.strerror}). Name another file.") from None
+    with explain_write_errors(out), open_atomically(out, overwrite=False) as file:
+        file.writelines(lines(folder, chosen, journal_format))
     print(out)
 
 

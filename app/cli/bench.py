@@ -10,10 +10,10 @@ import typer
 from rich.table import Table
 
 from app.cli.console import create_console, error_console
-from app.cli.options import ConfigOption, JsonOption, ToolOption
+from app.cli.options import ConfigOption, DataOption, JsonOption, ToolOption, locate_data_folder
 from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
-from config.schema import RealtimeSettings, ToolKind
+from config.schema import RealtimeSettings
 
 
 def bench(
@@ -21,6 +21,7 @@ def bench(
     seconds: Annotated[float, typer.Option(min=1, max=3600, help="Of each of the six measurements.")] = 30.0,
     tool: ToolOption = None,
     config: ConfigOption = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Measure how late blocks of samples are: without any of `[realtime]`, as configured, and with all of it.
@@ -32,11 +33,12 @@ def bench(
     if not jitter:
         raise ConfigurationError("Say what to measure: --jitter.")
     settings = load_settings(config)
-    chosen, library = load_tool(tool or settings.tool), load_library(settings.library)
-    if chosen.kind is ToolKind.RECORDING:
-        raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to measure.")
+    own = locate_data_folder(data, settings)
+    chosen, library = (load_tool(tool or settings.tool, own), load_library(settings.library, own))
+    if not chosen.has_motor:
+        raise ConfigurationError(f"The tool {chosen.name!r} {chosen.why_no_motor}: there is nothing to measure.")
 
-    from acquisition.bench.jitter import cpu_load, measure_jitter  # a slow import
+    from acquisition.bench.jitter import keep_cores_busy, measure_jitter  # a slow import
     from acquisition.tool_factory import open_tool
     from acquisition.worker import REALTIME_PRIORITY
 
@@ -49,7 +51,7 @@ def bench(
     found = []
     for busy in (False, True):
         for name, wanted in ways.items():
-            with error_console.status(f"Measuring: {name}, {'busy' if busy else 'idle'}"), cpu_load(busy):
+            with error_console.status(f"Measuring: {name}, {'busy' if busy else 'idle'}"), keep_cores_busy(busy):
                 result = measure_jitter(open_tool, chosen, library, settings, wanted, REALTIME_PRIORITY, seconds)
             found.append({"asked for": name, "machine": "busy" if busy else "idle", **asdict(result)})
     if as_json:

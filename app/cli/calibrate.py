@@ -1,6 +1,5 @@
 """`graspwatch calibrate`: measurement of a tool's constants at the bench, written to a new, dated tool file."""
 
-import getpass
 import json
 from collections.abc import Callable
 from dataclasses import asdict
@@ -11,21 +10,32 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from app.cli.calibrate_fit import fit
 from app.cli.console import create_console, error_console
-from app.cli.options import DEFAULT_RECORDING_TOOL, ConfigOption, JsonOption, ToolOption
-from config.errors import CalibrationError, ConfigurationError, ToolError
-from config.load import find_tool_file, load_settings, load_tool
-from config.schema import Tool, ToolKind
+from app.cli.options import (
+    DEFAULT_RECORDING_TOOL,
+    ConfigOption,
+    DataOption,
+    JsonOption,
+    ToolOption,
+    locate_data_folder,
+    write_output,
+)
+from app.host.computer_user import computer_user_name
+from config.errors import CalibrationError, ConfigurationError, GraspwatchError, ToolError
+from config.load import FileKind, find_file, list_shipped_names, load_settings, load_tool
+from config.schema import Tool
 
 if TYPE_CHECKING:
+    from acquisition.bench.calibration_bench import CalibrationBench
     from acquisition.bench.fits import CalibrationFit, FittedConstant
-    from acquisition.bench.readings import CalibrationBench
 
 app = typer.Typer(
     help="Measure a tool's constants without tissue. Each command fits them with their confidence intervals, refuses a "
     "fit that cannot be trusted, and writes a new tool file with the day in its name; the old one stays.",
     no_args_is_help=True,
 )
+app.command()(fit)
 T = TypeVar("T")
 
 PersonOption = Annotated[str | None, typer.Option(help="Who calibrates; default: this computer's user.")]
@@ -34,7 +44,11 @@ ValidDaysOption = Annotated[
 ]
 OutputFolderOption = Annotated[
     Path | None,
-    typer.Option("--into", metavar="FOLDER", help="Where the new file goes; default: beside the tool's file."),
+    typer.Option(
+        "--into",
+        metavar="FOLDER",
+        help="Where the new file goes; default: beside the tool's file, or here for a shipped tool.",
+    ),
 ]
 YesOption = Annotated[bool, typer.Option("--yes", help="All is prepared: ask nothing. The jaws may move.")]
 EMPTY_JAWS_QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
@@ -47,6 +61,7 @@ class _CommandLineCalibration:
         self,
         tool: str | None,
         config: Path | None,
+        data: Path | None,
         person: str | None,
         valid_days: int,
         folder: Path | None,
@@ -54,11 +69,15 @@ class _CommandLineCalibration:
         as_json: bool,
         default_tool: str | None = None,
     ) -> None:
-        self._tool_source = tool or default_tool or load_settings(config).tool
-        self.tool: Tool = load_tool(self._tool_source)
-        self._person, self._valid_days = person or getpass.getuser(), valid_days
-        own = self._tool_source.endswith(".toml") or "/" in self._tool_source
-        self._folder = folder or (find_tool_file(self._tool_source).parent if own else Path())
+        settings = load_settings(config)
+        own = locate_data_folder(data, settings)
+        named = tool or default_tool or settings.tool
+        self.tool: Tool = load_tool(named, own)
+        file = find_file(named, FileKind.TOOL, own)
+        self._tool_source = str(file)
+        self._person, self._valid_days = person or computer_user_name(), valid_days
+        shipped = named in list_shipped_names(FileKind.TOOL.folder)
+        self._folder = folder or (Path() if shipped else file.parent)
         self._assume_yes, self._as_json = yes, as_json
         if not (yes or error_console.is_terminal):
             raise ConfigurationError("Nobody is at a terminal to answer: prepare all, then say so with --yes.")
@@ -68,8 +87,10 @@ class _CommandLineCalibration:
 
     def open_bench(self) -> "CalibrationBench":
         """Open the tool for measuring."""
-        if self.tool.kind is ToolKind.RECORDING:
-            raise ConfigurationError(f"The tool {self.tool.name!r} is for recordings: name the real one with --tool.")
+        if not self.tool.has_motor:
+            raise ConfigurationError(
+                f"The tool {self.tool.name!r} {self.tool.why_no_motor}: name the one to calibrate with --tool."
+            )
         from acquisition.tool_factory import open_calibration_bench
         from acquisition.worker import REALTIME_PRIORITY
         from acquisition.worker_process import hold_realtime_priority  # slow imports
@@ -125,7 +146,10 @@ class _CommandLineCalibration:
         plot = path.with_suffix(".html")
         names = ", ".join(each.key.partition(".")[2] for each in found.constants)
         title = f"{self.tool.title}: {names}, {date.today()}"
-        plot.write_text(_render_plot_page(found, title), encoding="utf-8")
+        try:
+            write_output(plot, _render_plot_page(found, title), "--into")
+        except GraspwatchError as error:
+            raise type(error)(f"The tool file {path} is written, its plot is not: {error}") from None
         if self._as_json:
             constants = [asdict(each) | {"was": read_current_value(each, self.tool)} for each in found.constants]
             print(json.dumps({"file": str(path), "plot": str(plot), "constants": constants}, indent=2))
@@ -156,13 +180,14 @@ def tare(
     into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Rest voltage of the strain gage and its noise: ten seconds with the jaws open and nothing on the tool.
 
     Example: graspwatch calibrate tare --tool nidaq
     """
-    session = _CommandLineCalibration(tool, config, person, days, into, yes, as_json)
+    session = _CommandLineCalibration(tool, config, data, person, days, into, yes, as_json)
     bench = session.open_bench()
     session.confirm("Are the jaws open and empty, does nothing pull on the tool, and is the amplifier warm?")
     from acquisition.bench import fits
@@ -182,6 +207,7 @@ def strain(
     into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Gain of the strain gage, Eq. (1), from known weights on the handle: 1 kg pulls with 9.81 N.
@@ -190,7 +216,8 @@ def strain(
     """
     from acquisition.bench import fits
 
-    session = _CommandLineCalibration(tool, config, person, days, into, yes, as_json)
+    session = _CommandLineCalibration(tool, config, data, person, days, into, yes, as_json)
+    fits.check_has_linkage(session.tool, "strain")
     pulls_n = fits.check_pulls(_parse_numbers(weights, "--weights"))
     bench = session.open_bench()
 
@@ -224,9 +251,10 @@ def force(
     into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Force scale, the factor of Eq. (2), from a load cell between the jaws; the motor stays at zero.
+    """Force scale, by the law of the tool file, from a load cell between the jaws; the motor stays at zero.
 
     Calibrate strain, stretch and geometry before. A real tool is armed only with a measured force scale.
 
@@ -234,7 +262,7 @@ def force(
     """
     from acquisition.bench import fits
 
-    session = _CommandLineCalibration(tool, config, person, days, into, yes, as_json)
+    session = _CommandLineCalibration(tool, config, data, person, days, into, yes, as_json)
     known_n = fits.check_jaw_forces(_parse_numbers(forces, "--forces"))
     bench = session.open_bench()
 
@@ -269,6 +297,7 @@ def stretch(
     into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Stretch of the cable, Eq. (3): empty jaws are shut gently, with a force that rises and falls.
@@ -280,6 +309,7 @@ def stretch(
     session = _CommandLineCalibration(
         tool,
         config,
+        data,
         person,
         days,
         into,
@@ -287,8 +317,9 @@ def stretch(
         as_json,
         DEFAULT_RECORDING_TOOL if recordings else None,
     )
+    fits.check_has_linkage(session.tool, "stretch")
     if recordings:
-        from acquisition.bench.readings import extract_recorded_passes
+        from acquisition.bench.calibration_bench import extract_recorded_force_passes
         from acquisition.recordings.recording import RecordingSource
 
         passes = []
@@ -296,12 +327,12 @@ def stretch(
             recording = RecordingSource(path, session.tool)
             for remark in recording.remarks:
                 session.print_message(f"{path}: {remark}.")
-            passes += extract_recorded_passes(recording)
+            passes += extract_recorded_force_passes(recording)
     else:
         bench = session.open_bench()
         session.confirm(EMPTY_JAWS_QUESTION)
-        passes = session.read_with_retry(bench.read_closed_jaws)
-    session.finish(lambda: fits.fit_stretch(passes, session.tool))
+        passes = session.read_with_retry(bench.sweep_force_on_empty_jaws)
+    session.finish(lambda: fits.fit_cable_stretch(passes, session.tool))
 
 
 @app.command()
@@ -315,6 +346,7 @@ def geometry(
     into: OutputFolderOption = None,
     yes: YesOption = False,
     config: ConfigOption = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Zero of the encoder (the opening of the jaws) and its ratio to the handle, Eqs. (4) to (6), from gauges.
@@ -325,7 +357,8 @@ def geometry(
     """
     from acquisition.bench import fits
 
-    session = _CommandLineCalibration(tool, config, person, days, into, yes, as_json)
+    session = _CommandLineCalibration(tool, config, data, person, days, into, yes, as_json)
+    fits.check_has_linkage(session.tool, "geometry")
     gauges_m = fits.check_gauges([each * 1e-3 for each in _parse_numbers(gauges, "--gauges")])
 
     def question(gauge_m: float) -> str:
@@ -335,7 +368,7 @@ def geometry(
     passes = session.read_each(
         gauges_m.tolist(),
         question,
-        session.open_bench().read_on_gauge,
+        session.open_bench().sweep_force_on_gauge,
         lambda gauge_m, found: f"{gauge_m * 1e3:>8g} mm  {found.encoder_deg.mean():9.1f} degrees",
     )
     session.finish(lambda: fits.fit_geometry(gauges_m, passes, session.tool))

@@ -8,10 +8,9 @@ import typer
 from rich.text import Text
 
 from app.cli.console import create_console, error_console
-from app.cli.options import ConfigOption, JsonOption, ToolOption
+from app.cli.options import ConfigOption, DataOption, JsonOption, ToolOption, locate_data_folder
 from config.errors import ConfigurationError, ToolError
 from config.load import load_library, load_settings, load_tool
-from config.schema import ToolKind
 
 OUTCOME_STYLES = {"pass": "green", "fail": "bold red", "not done": "yellow"}
 EMPTY_JAWS_QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
@@ -23,6 +22,7 @@ def check(
         bool | None, typer.Option("--move/--no-move", help="Close the empty jaws gently; else you are asked.")
     ] = None,
     config: ConfigOption = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find out whether a tool is wired as its file says: pass or fail, and what to do. The motor is at zero afterwards.
@@ -30,9 +30,10 @@ def check(
     Example: graspwatch check --tool nidaq --move
     """
     settings = load_settings(config)
-    chosen = load_tool(tool or settings.tool)
-    if chosen.kind is ToolKind.RECORDING:
-        raise ConfigurationError(f"The tool {chosen.name!r} is for recordings: there is nothing to check.")
+    own = locate_data_folder(data, settings)
+    chosen = load_tool(tool or settings.tool, own)
+    if not chosen.has_board:
+        raise ConfigurationError(f"The tool {chosen.name!r} {chosen.why_no_motor}: there is nothing to check.")
 
     from acquisition.bench.checks import CheckOutcome  # a slow import, made after the options are checked
     from acquisition.tool_factory import open_hardware_check
@@ -45,7 +46,8 @@ def check(
 
     reading = hold_realtime_priority(REALTIME_PRIORITY)  # as in the worker
     console, findings = create_console(), []
-    for finding in open_hardware_check(chosen, load_library(settings.library), reading).run_checks(may_move):
+    library = load_library(settings.library, own)
+    for finding in open_hardware_check(chosen, library, reading).run_checks(may_move):
         findings.append(finding)
         if not as_json and finding.outcome is not CheckOutcome.NOT_DONE:
             console.print(_format_finding(finding.outcome, finding.check, finding.text), soft_wrap=True)

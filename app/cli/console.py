@@ -25,7 +25,7 @@ def print_note(text: str) -> None:
     error_console.print(Text.assemble(("Note:", "yellow"), " ", text), soft_wrap=True)
 
 
-def accept_any_name() -> None:
-    """Make the output print a name that it cannot encode with escapes, as the error output does, instead of failing."""
+def escape_unencodable_output() -> None:
+    """Let the output print an escape for each character that it cannot encode, as the error output does."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")

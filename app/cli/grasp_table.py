@@ -6,8 +6,14 @@ from typing import Any
 from rich.table import Table
 
 from app.cli.console import create_console, print_note
+from config.schema import ReferenceGrasp
 
 VERDICT_REMARKS = {"unknown": "fits no tissue of the library"}
+HELD_BACK_REMARK = "held back"
+HELD_BACK_TEXT = (
+    "The limiter held the motor back in {}: its command was lower than the protocol asks for, so that the force stays "
+    "under the limit."
+)
 
 
 def print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
@@ -17,9 +23,15 @@ def print_reports(documents: list[dict[str, Any]], as_json: bool) -> None:
         return
     console = create_console()
     for document in documents:
+        if reference := document.get("reference"):
+            taken = ReferenceGrasp.model_validate(reference, strict=False)
+            console.print(f"Reference grasp of {taken.tool}: {taken}", highlight=False, soft_wrap=True)
+            continue
         console.print(_build_table(document))
         for spot in document["spots"]:
             console.print(_describe_spot(spot), highlight=False)
+        if held := [str(grasp["index"]) for grasp in document["grasps"] if grasp["held_back"]]:
+            print_note(HELD_BACK_TEXT.format(f"grasp{'s'[: len(held) != 1]} {', '.join(held)}"))
         if advice := document.get("advice"):
             print_note(advice)
 
@@ -37,6 +49,7 @@ def _build_table(document: dict[str, Any]) -> Table:
         probability, decided, peak = grasp["probability"], grasp["time_to_decision_s"], grasp["peak_force_n"]
         top, share = max(grasp["probabilities"].items(), key=lambda each: each[1])
         likeliest = f"likeliest: {top.replace('_', ' ')}, {100 * share:.0f} %" if grasp["label"] == "undecided" else ""
+        said = grasp["why_invalid"] or VERDICT_REMARKS.get(grasp["label"]) or likeliest
         table.add_row(
             str(grasp["index"]),
             f"{grasp['start_s']:.3f} s",
@@ -44,7 +57,7 @@ def _build_table(document: dict[str, Any]) -> Table:
             "" if probability is None else f"{probability:.0%}",
             "" if decided is None else f"{decided * 1e3:.0f} ms",
             "" if peak is None else f"{peak:.2f} N",
-            grasp["why_invalid"] or VERDICT_REMARKS.get(grasp["label"]) or likeliest,
+            "; ".join(filter(None, (said, HELD_BACK_REMARK if grasp["held_back"] else ""))),
         )
     return table
 

@@ -1,4 +1,4 @@
-"""`graspwatch import`: LabVIEW logs into the data folder."""
+"""`graspwatch import`: recordings of other programs into the data folder."""
 
 from pathlib import Path
 from typing import Annotated
@@ -22,9 +22,13 @@ from config.tissue_names import normalize_tissue_name
 
 
 def import_(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="LabVIEW logs: .lvm, .lvm.gz.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE", help="LabVIEW logs (.lvm, .lvm.gz), or tables as the tool file describes."),
+    ],
     tool: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Tool file that names the channels and their calibration.")
+        str,
+        typer.Option(metavar="NAME|FILE", help="Tool file that names the channels or columns and their calibration."),
     ] = DEFAULT_RECORDING_TOOL,
     tissue: Annotated[str | None, typer.Option(help="What was held, if it is known.")] = None,
     name: Annotated[
@@ -34,7 +38,9 @@ def import_(
     config: ConfigOption = None,
     data: DataOption = None,
 ) -> None:
-    """Take LabVIEW logs into the data folder, as recordings like any other.
+    """Take logs of other programs into the data folder, as recordings like any other.
+
+    With a [table] in the tool file these may be text (CSV, TSV, blanks), TDMS, MAT or Parquet files.
 
     A file that cannot be imported leaves nothing behind, and the others are imported.
 
@@ -43,12 +49,13 @@ def import_(
     if name and len(files) > 1:
         raise ConfigurationError("--name is for one file. Import each file by itself, or leave --name out.")
     settings = load_settings(config)
-    profiles, rig_tool = load_library(library or settings.library), load_tool(tool)
+    own = data or settings.data_folder
+    profiles, rig_tool = load_library(library or settings.library, own), load_tool(tool, own)
     held = normalize_tissue_name(tissue, "--tissue") if tissue else None
     folder = prepare_data_folder(data, settings) / "recordings"
 
     # A slow import, made after the options are checked.
-    from app.recordings.exchange.labview_import import import_labview
+    from app.recordings.exchange.log_import import import_log
     from app.recordings.mcap_writer import RecordingContext
 
     context, failed = RecordingContext(rig_tool, profiles, settings), {}
@@ -56,7 +63,7 @@ def import_(
         noted = journal_local_command(folder.parent, "import", f"Import {path.name}")
         try:
             with noted, ProgressBar(to_printable(path.name), 1.0) as progress:
-                imported = import_labview(path, folder, context, held, progress, name)
+                imported = import_log(path, folder, context, held, progress, name)
         except GraspwatchError as error:
             if len(files) == 1:
                 raise

@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from app.cli.console import error_console
-from app.cli.options import ConfigOption, DataOption, JsonOption, ProgressBar, prepare_data_folder
+from app.cli.console import error_console, print_note
+from app.cli.options import ConfigOption, DataOption, JsonOption, ProgressBar, find_data_folder, locate_data_folder
 from config.errors import ConfigurationError
 from config.load import load_settings
 
@@ -26,9 +26,11 @@ def index(
     from app.index.database import index_url_from_settings
 
     settings = load_settings(config)
-    folder = prepare_data_folder(data, settings)
+    folder = find_data_folder(data, settings) if rebuild else locate_data_folder(data, settings)
     url = index_url_from_settings(settings, folder)
     if not rebuild:
+        if not folder.is_dir():
+            print_note(f"{folder}: there is no such folder. If it should be there, correct --data.")
         print_status(url, folder, as_json)
         return
     if as_json:

@@ -68,10 +68,10 @@ def parse_labels(labels: list[str]) -> dict[str, list[Path]]:
 
 
 def parse_labels_of(labels: list[str], files: list[Path]) -> list[tuple[str, list[Path]]]:
-    """Return the tissues and the recordings among `files` that each label names, in their order.
+    """Return the tissue and the recordings of each label, in the labels' order.
 
-    A recording is named by its path, its name with or without its ending, or a pattern of these; one that is not among
-    `files` by its path or a pattern.
+    A label names one of `files` by its path, its name with or without its ending, or a pattern of these. It names
+    another recording by its path, or by a pattern of paths.
 
     Raises:
         ConfigurationError: a label has no file or no valid tissue name, or names no recording, or more than one

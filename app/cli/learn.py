@@ -11,7 +11,8 @@ from rich.table import Table
 
 from app.cli.console import create_console, print_note
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels
-from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, write_output
+from app.cli.options import DEFAULT_RECORDING_TOOL, DataOption, ProgressBar, locate_data_folder, write_output
+from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary, Tool
 from config.tissue_names import check_tissue_names
@@ -42,9 +43,17 @@ def learn(
     least: Annotated[
         int, typer.Option(min=2, max=10_000, help="Grasps that each tissue needs, without first ones.")
     ] = 5,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Recording with empty jaws, for the recordings of its day: the zero of stall and stops; repeatable.",
+        ),
+    ] = None,
     config: Annotated[
         Path | None, typer.Option("--config", metavar="FILE", help="Settings instead of config/graspwatch.toml.")
     ] = None,
+    data_folder: DataOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON instead of a table.")] = False,
 ) -> None:
     """Learn a tissue library from labelled recordings, and say how far it can be trusted.
@@ -57,9 +66,13 @@ def learn(
 
     files, settings = parse_labels(label), load_settings(config)
     check_tissue_names(files, "--label")
-    context, like = load_tool(tool) if tool else find_recording_tool(files), load_library(base)
+    own = locate_data_folder(data_folder, settings)
+    context, like = load_tool(tool, own) if tool else find_recording_tool(files), load_library(base, own)
     page, data = (out.with_name(f"{out.stem}-report.{kind}") for kind in ("html", "json"))
     check_writable(out)
+    for path in (out, page, data):
+        if path.exists():
+            raise ConfigurationError(f"{path}: exists already, and is kept. Name another file with --out.")
 
     from app.analysis.learning.learning_report import build_report
     from app.analysis.learning.training_set import (
@@ -70,7 +83,9 @@ def learn(
 
     today = date.today().isoformat()
     with ProgressBar("learning", 1.0) as progress:
-        found = load_training_set(files, context, like, settings, least, lambda share: progress(READING_SHARE * share))
+        found = load_training_set(
+            files, context, like, settings, least, lambda share: progress(READING_SHARE * share), reference or ()
+        )
         library = fit_library(
             found.curves, context, like, base, found.peak_v, name=_make_library_name(out.stem), date=today
         )
@@ -85,7 +100,7 @@ def learn(
     write_output(page, study.render_page())
     write_output(data, json.dumps(study.to_document(), indent=2, allow_nan=False) + "\n")
     write_output(out, library_to_toml(library))
-    _print_result(study, library, found, out, page, data, as_json)
+    _print_result(study, library, like, found, out, page, data, as_json)
 
 
 def find_recording_tool(files: dict[str, list[Path]]) -> Tool:
@@ -106,13 +121,15 @@ def _make_library_name(text: str) -> str:
 def _print_result(
     study: "StudyResult",
     library: TissueLibrary,
+    base: TissueLibrary,
     training_set: "TrainingSet",
     out: Path,
     page: Path,
     data: Path,
     as_json: bool,
 ) -> None:
-    for remark in [*training_set.remarks, *_missing_threshold_warnings(library)]:
+    remarks = [*training_set.remarks, *_missing_threshold_warnings(library, base), *_list_missing_spots(library)]
+    for remark in remarks:
         print_note(remark)
     if as_json:
         print(json.dumps(_build_document(study, library, out), indent=2, allow_nan=False))
@@ -139,10 +156,9 @@ def _print_result(
     console.print(f"Library: {out}\nReport: {page}\nFigures: {data}", soft_wrap=True)
 
 
-def _missing_threshold_warnings(library: TissueLibrary) -> list[str]:
+def _missing_threshold_warnings(library: TissueLibrary, base: TissueLibrary) -> list[str]:
     from estimator.learning.library_fit import find_base_tissue
 
-    base = load_library(library.learned.base) if library.learned else library
     strange = [name for name in library.tissues if find_base_tissue(name, base) is None]
     if not strange:
         return []
@@ -151,6 +167,23 @@ def _missing_threshold_warnings(library: TissueLibrary) -> list[str]:
         f"the library {base.name!r} does not know {', '.join(strange)}: its lowest injury threshold, {lowest:g} kPa, "
         "is taken. If a higher one is known, put it into the file."
     ]
+
+
+def _list_missing_spots(library: TissueLibrary) -> list[str]:
+    """Return what the library cannot know, because too few tissues or spots were recorded."""
+    remarks = []
+    if len(library.tissues) == 1:
+        remarks.append(
+            f"every grasp can only be {', '.join(library.tissues)} or unknown. Add recordings of another tissue."
+        )
+    if library.learned and not library.learned.spot_pairs:
+        remarks.append(
+            "no tissue was recorded on two spots at one ramp, so the spread between spots is the stated one. The "
+            "figures of earlier and later grasps are from the spots that were learned, and too good for other spots. "
+            "Record each tissue on another spot; `graspwatch study spots` then judges the library on spots that it "
+            "was not learned from."
+        )
+    return remarks
 
 
 def _build_document(study: "StudyResult", library: TissueLibrary, out: Path) -> dict[str, Any]:

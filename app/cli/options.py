@@ -1,7 +1,8 @@
 """Shared parts of the commands: options, the data folder and its recordings, the progress bar, the error console."""
 
-import tempfile
+import contextlib
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -10,23 +11,23 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from acquisition.recordings.file_names import has_recording_suffix
 from app.cli.console import error_console
-from app.host.atomic_write import write_atomically
-from config.errors import ConfigurationError, RecordingError
+from config.atomic_write import check_writable, write_atomically
+from config.errors import ConfigurationError, RecordingError, build_write_error
 from config.load import load_settings
 from config.schema import Settings
 
 LibraryOption = Annotated[
-    str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a name or a file.")
+    str | None, typer.Option("--library", metavar="NAME|FILE", help="Tissue library: a shipped or own name, or a file.")
 ]
 ToolOption = Annotated[
     str | None,
-    typer.Option("--tool", metavar="NAME|FILE", help="`simulated`, `nidaq` (a real NI board), or a tool file."),
+    typer.Option("--tool", metavar="NAME|FILE", help="`simulated`, `nidaq` (an NI board), an own name, or a file."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Of specimens and noise; the same seed gives the same grasps.")]
 DataOption = Annotated[
     Path | None,
-    typer.Option("--data", metavar="FOLDER", help="Journal, recordings and studies; default: as configured."),
+    typer.Option("--data", metavar="FOLDER", help="Recordings, journal, studies, own files; default: as configured."),
 ]
 TlsCertOption = Annotated[
     Path | None, typer.Option("--tls-cert", metavar="FILE", help="Certificate (PEM) for https, with --tls-key.")
@@ -38,23 +39,51 @@ ConfigOption = Annotated[
 ]
 
 
+def locate_data_folder(folder_option: Path | None, settings: Settings) -> Path:
+    """Return where the data folder is; it need not be there."""
+    return (folder_option or Path(settings.data_folder)).resolve()
+
+
+def find_data_folder(folder_option: Path | None, settings: Settings) -> Path:
+    """Return the data folder for a command that only reads it, or changes what is there; it is never made.
+
+    Raises:
+        ConfigurationError: there is no such folder.
+    """
+    folder = locate_data_folder(folder_option, settings)
+    if not folder.is_dir():
+        raise ConfigurationError(f"{folder}: there is no such folder. Name the data folder with --data, or make it.")
+    return folder
+
+
 def prepare_data_folder(folder_option: Path | None, settings: Settings) -> Path:
     """Return the data folder, and make it if it is missing.
 
     Raises:
         ConfigurationError: the folder cannot be made or written to.
+        ServiceError: the disk is full.
     """
-    folder = folder_option or Path(settings.data_folder)
+    folder = locate_data_folder(folder_option, settings)
     try:
         for name in ("recordings", "studies"):
             (folder / name).mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        check_writable(folder)
     except OSError as error:
-        raise ConfigurationError(
-            f"{folder}: is no folder to keep data in ({error.strerror}). Name another with --data."
-        ) from None
-    return folder.resolve()
+        text = f"{folder}: is no folder to keep data in ({error.strerror}). Name another with --data."
+        raise build_write_error(text, error) from None
+    return folder
+
+
+def prepare_known_data_folder(folder_option: Path | None, settings: Settings) -> Path:
+    """Return the data folder to write to: the configured one is made if it is missing, one of `--data` is there.
+
+    Raises:
+        ConfigurationError: there is no such folder, or it cannot be written to.
+        ServiceError: the disk is full.
+    """
+    if folder_option:
+        find_data_folder(folder_option, settings)
+    return prepare_data_folder(folder_option, settings)
 
 
 def find_recording_file(run: str, config: Path | None, data: Path | None) -> Path:
@@ -68,25 +97,37 @@ def find_recording_file(run: str, config: Path | None, data: Path | None) -> Pat
         return named
     if has_recording_suffix(run):
         raise RecordingError(f"{run}: there is no such file. Check the path.")
-    folder = prepare_data_folder(data, load_settings(config)) / "recordings"
+    folder = find_data_folder(data, load_settings(config)) / "recordings"
     path = folder / f"{run}.mcap"
     if not path.is_file():
         raise RecordingError(f"There is no recording of a run {run!r} in {folder}. Name another folder with --data.")
     return path
 
 
-def write_output(path: Path, text: str) -> None:
-    """Write a file that `--out` names, whole or not at all.
+def write_output(path: Path, text: str, option: str = "--out") -> None:
+    """Write a file in the place that `option` names, whole or not at all.
 
     Raises:
         ConfigurationError: the file cannot be written.
+        ServiceError: the disk is full.
+    """
+    with explain_write_errors(path, option):
+        write_atomically(path, text)
+
+
+@contextlib.contextmanager
+def explain_write_errors(path: Path, option: str = "--out") -> Iterator[None]:
+    """Convert the errors of writing to the place that `option` names.
+
+    Raises:
+        ConfigurationError: it cannot be written.
+        ServiceError: the disk is full.
     """
     try:
-        write_atomically(path, text)
+        yield
     except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror}). Free some space, or name another place with --out."
-        ) from None
+        text = f"{path}: cannot be written ({error.strerror}). Free some space, or name another place with {option}."
+        raise build_write_error(text, error) from None
 
 
 class ProgressBar:

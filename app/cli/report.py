@@ -13,7 +13,7 @@ from rich.table import Table
 from acquisition.recordings.file_names import RECORDING_SUFFIXES, remove_recording_suffix, to_printable
 from app.cli.console import create_console, print_note
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels_of
-from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, write_output
+from app.cli.options import DEFAULT_RECORDING_TOOL, ProgressBar, locate_data_folder, write_output
 from config.errors import ConfigurationError
 from config.load import load_library, load_settings, load_tool
 from config.schema import TissueLibrary
@@ -57,8 +57,9 @@ def report(
     Example: graspwatch report liver.lvm.gz bladder.lvm.gz --label liver=liver.lvm.gz --out report.html
     """
     settings = load_settings(config)
-    profiles, context = load_library(library or settings.library), load_tool(tool)
-    folder = (data or Path(settings.data_folder)) / "recordings"
+    own = locate_data_folder(data, settings)
+    profiles, context = load_library(library or settings.library, own), load_tool(tool, own)
+    folder = own / "recordings"
     files = [_find_recording(name, folder) for name in recordings or []]
     if len(set(files)) < len(files):
         twice = next(path for path in files if files.count(path) > 1)

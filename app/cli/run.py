@@ -7,8 +7,16 @@ import typer
 
 from app.cli.console import error_console
 from app.cli.grasp_table import print_reports
-from app.cli.options import ConfigOption, JsonOption, LibraryOption, ProgressBar, SeedOption
-from config.errors import ToolError
+from app.cli.options import (
+    ConfigOption,
+    DataOption,
+    JsonOption,
+    LibraryOption,
+    ProgressBar,
+    SeedOption,
+    locate_data_folder,
+)
+from config.errors import ConfigurationError, ToolError
 from config.load import (
     build_graspable_library,
     load_grasp_protocol,
@@ -21,12 +29,18 @@ from config.schema import Settings, Tool, ToolKind
 
 
 def run(
-    protocol: Annotated[str, typer.Argument(metavar="PROTOCOL", help="A name of config/protocols, or a file.")],
-    tissue: Annotated[str, typer.Option(help="What the simulated grasper holds: a tissue of the library.")],
+    protocol: Annotated[str, typer.Argument(metavar="PROTOCOL", help="A shipped protocol, an own one, or a file.")],
+    tissue: Annotated[
+        str | None,
+        typer.Option(
+            help="What the simulated grasper holds: a tissue of the library. `reference_grasp` alone needs none."
+        ),
+    ] = None,
     cycles: Annotated[int | None, typer.Option(min=1, max=10_000, help="Grasps; default: the protocol's.")] = None,
     seed: SeedOption = 0,
     library: LibraryOption = None,
     config: ConfigOption = None,
+    data: DataOption = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="As slow as life, not as fast as it goes.")] = False,
     record: Annotated[
         Path | None, typer.Option(metavar="FILE.mcap", help="Write all of it to a new file, to be replayed.")
@@ -38,17 +52,26 @@ def run(
     Example: graspwatch run trapezoid_2hz --tissue liver --cycles 5
     """
     settings = load_settings(config)
-    profiles, wanted = load_library(library or settings.library), load_grasp_protocol(protocol)
-    require_known_name(tissue, list(build_graspable_library(profiles).tissues), "tissue")
-    profiles.check_tool(_simulated_tool(settings))
+    own = locate_data_folder(data, settings)
+    profiles, wanted = load_library(library or settings.library, own), load_grasp_protocol(protocol, own)
+    simulated = _simulated_tool(settings, own)
+    if wanted.is_reference_grasp and tissue:
+        raise ConfigurationError("A reference grasp closes on nothing. Leave --tissue out.")
+    if not (wanted.is_reference_grasp or tissue):
+        raise ConfigurationError(
+            f"Name what {wanted.name} grasps: --tissue NAME, one of {', '.join(profiles.tissues)}."
+        )
+    if tissue:
+        require_known_name(tissue, list(build_graspable_library(profiles).tissues), "tissue")
+    profiles.check_tool(simulated)
 
     from app.analysis.headless import run_protocol  # a slow import, made after the options are checked
 
     count = cycles or wanted.cycles
     duration_s = wanted.lead_in_s + count * wanted.waveform.cycle_s
-    with ProgressBar(f"{wanted.name} on {tissue}", duration_s) as progress:
+    with ProgressBar(f"{wanted.name} on {tissue or 'empty jaws'}", duration_s) as progress:
         report = run_protocol(
-            _simulated_tool(settings),
+            simulated,
             profiles,
             settings,
             wanted,
@@ -66,7 +89,7 @@ def run(
         raise ToolError(report.failure)
 
 
-def _simulated_tool(settings: Settings) -> Tool:
+def _simulated_tool(settings: Settings, data_folder: Path) -> Tool:
     """Return the tool that the settings name if it is simulated, else the shipped simulated tool."""
-    named = load_tool(settings.tool)
+    named = load_tool(settings.tool, data_folder)
     return named if named.kind is ToolKind.SIMULATED else load_tool("simulated")

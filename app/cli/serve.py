@@ -12,11 +12,20 @@ from app.cli.options import (
     TlsCertOption,
     TlsKeyOption,
     ToolOption,
+    locate_data_folder,
     prepare_data_folder,
 )
 from app.cli.server import apply_tls_options, start_server
 from config.errors import ConfigurationError
-from config.load import build_graspable_library, load_library, load_settings, load_tool, require_known_name
+from config.load import (
+    FileKind,
+    build_graspable_library,
+    find_file,
+    load_library,
+    load_settings,
+    load_tool,
+    require_known_name,
+)
 from config.schema import FoxgloveSettings, ToolKind
 
 
@@ -43,7 +52,8 @@ def serve(
     from config.service_plan import ServicePlan
 
     settings = load_settings(config)
-    chosen, library = load_tool(tool or settings.tool), load_library(settings.library)
+    own, named = locate_data_folder(data, settings), tool or settings.tool
+    chosen, library = load_tool(named, own), load_library(settings.library, own)
     library.check_tool(chosen)
     if chosen.kind is ToolKind.RECORDING:
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings. Use `graspwatch replay FILE --serve`.")
@@ -54,6 +64,10 @@ def serve(
         if tissue
         else next(iter(library.tissues))
     )
+    if chosen.kind is ToolKind.SERIAL and chosen.table:
+        from acquisition.table_columns import find_factors
+
+        find_factors(chosen.table, chosen)
     if chosen.kind is ToolKind.NIDAQ:
         from acquisition.drivers.nidaq import read_driver_version
 
@@ -62,7 +76,7 @@ def serve(
     settings = apply_tls_options(settings, tls_cert, tls_key)
     if foxglove:
         settings = settings.model_copy(update={"foxglove": FoxgloveSettings(port=foxglove)})
-    folder, source = prepare_data_folder(data, settings), tool or settings.tool
+    folder, source = prepare_data_folder(data, settings), str(find_file(named, FileKind.TOOL, own))
     start_server(
         ServicePlan(chosen, library, settings, held, seed, folder, context, demo_enabled=demo, tool_source=source),
         host,

@@ -3,10 +3,12 @@
 import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from app import __version__
 from app.cli.console import error_console
-from config.network import format_host
+from app.host.system_errors import check_address_space
+from config.network import reachable_host
 from config.schema import Settings
 
 if TYPE_CHECKING:
@@ -20,16 +22,19 @@ def apply_tls_options(settings: Settings, cert: Path | None, key: Path | None) -
 
 
 def start_server(plan: "ServicePlan", host: str | None, port: int | None) -> None:
-    """Serve until the program is ended; print the address first.
+    """Serve until the program is ended; print the address once the workers are started.
 
     Raises:
         GraspwatchError: the port, the certificate or the index cannot be used; the text says why.
     """
     from app.api.app import create_app, open_listener
     from app.api.app import serve as serve_app
+    from app.http.connection_limiter import reserve_open_files
     from app.people.bind_check import check_certificate, check_listen_address
 
     server = plan.settings.server
+    check_address_space()
+    reserve_open_files(server.most_connections)
     check_certificate(server.tls_cert, server.tls_key)
     with contextlib.ExitStack() as unless_served:
         listener = unless_served.enter_context(
@@ -45,9 +50,9 @@ def start_server(plan: "ServicePlan", host: str | None, port: int | None) -> Non
         application = create_app(plan)
         unless_served.pop_all()
     scheme = "https" if server.tls_cert else "http"
-    shown = "localhost" if address in ("127.0.0.1", "0.0.0.0", "::") else format_host(address)
     names = ", ".join(path.name for path in plan.opened_recordings)
     what = f"replay of {names}" if names else plan.tool.title
+    page = _find_first_page(plan)
     error_console.print(f"Graspwatch {__version__}: {what}. Research instrument, not a medical device.", soft_wrap=True)
     if not plan.opened_recordings:
         error_console.print(
@@ -55,7 +60,17 @@ def start_server(plan: "ServicePlan", host: str | None, port: int | None) -> Non
         )
     if warning:
         error_console.print(warning, style="yellow", soft_wrap=True)
-    url = f"{scheme}://{shown}:{bound}"
+    url = f"{scheme}://{reachable_host(address)}:{bound}"
     stream = f"  (Foxglove: ws://localhost:{stream_port})" if stream_port else ""
-    print(f"Dashboard: {url}/  (API: {url}/docs){stream}  Ctrl+C ends it.", flush=True)
-    serve_app(application, listener, plan)
+    address_line = f"Dashboard: {url}/{page}  (API: {url}/docs){stream}  Ctrl+C ends it."
+    serve_app(application, listener, plan, lambda: print(address_line, flush=True))
+
+
+def _find_first_page(plan: "ServicePlan") -> str:
+    """Return the path of the page to open first: the replay of the only recording, the list of several, or live."""
+    from app.recordings.catalog import assign_names
+
+    names = list(assign_names(plan.opened_recordings))
+    if len(names) == 1:
+        return f"recordings/{quote(names[0])}"
+    return "recordings" if names else ""

@@ -15,9 +15,18 @@ from rich.text import Text
 
 from app.cli.console import create_console, error_console, print_note
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, LabelCommand, parse_labels_of
-from app.cli.options import ProgressBar
+from app.cli.options import DataOption, ProgressBar, explain_write_errors, locate_data_folder
+from config.atomic_write import check_writable
 from config.errors import ConfigurationError
-from config.load import load_grasp_protocol, load_library, load_settings, load_tool
+from config.load import (
+    FileKind,
+    find_file,
+    list_shipped_names,
+    load_grasp_protocol,
+    load_library,
+    load_settings,
+    load_tool,
+)
 from estimator.studies.catalog import MAX_GRASPS, STUDIES, StudyDefinition
 
 if TYPE_CHECKING:
@@ -66,7 +75,7 @@ def _make_seeds_command(study: StudyDefinition) -> Callable[..., None]:
     ) -> None:
         from estimator.studies.answer_course import StudyConditions  # a slow import
 
-        _print_study(_run_study(study, StudyConditions(), seeds, seed, jobs), out, as_json)
+        _run_study(study, StudyConditions(), seeds, seed, out, jobs, as_json)
 
     return command
 
@@ -78,6 +87,7 @@ def _make_thickness_command(study: StudyDefinition) -> Callable[..., None]:
         spread: SpreadOption = 1.0,
         protocol: ProtocolOption = "trapezoid_2hz",
         library: LibraryOption = "porcine",
+        data: DataOption = None,
         touch: TouchOption = True,
         thickness: ThicknessOption = True,
         seed: SeedOption = 0,
@@ -85,8 +95,8 @@ def _make_thickness_command(study: StudyDefinition) -> Callable[..., None]:
         jobs: JobsOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        bench = _make_bench(protocol, library, noise_mv, spread, touch, thickness)
-        _print_study(_run_study(study, bench, grasps, seed, jobs), out, as_json)
+        bench = _make_bench(data, protocol, library, noise_mv, spread, touch, thickness)
+        _run_study(study, bench, grasps, seed, out, jobs, as_json)
 
     return command
 
@@ -98,15 +108,15 @@ def _make_protocol_command(study: StudyDefinition) -> Callable[..., None]:
         spread: SpreadOption = 1.0,
         protocol: ProtocolOption = "trapezoid_2hz",
         library: LibraryOption = "porcine",
+        data: DataOption = None,
         touch: TouchOption = True,
         seed: SeedOption = 0,
         out: OutOption = DEFAULT_FOLDER,
         jobs: JobsOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        _print_study(
-            _run_study(study, _make_bench(protocol, library, noise_mv, spread, touch), grasps, seed, jobs), out, as_json
-        )
+        bench = _make_bench(data, protocol, library, noise_mv, spread, touch)
+        _run_study(study, bench, grasps, seed, out, jobs, as_json)
 
     return command
 
@@ -117,17 +127,15 @@ def _make_library_command(study: StudyDefinition) -> Callable[..., None]:
         noise_mv: NoiseOption = 2.0,
         spread: SpreadOption = 1.0,
         library: LibraryOption = "porcine",
+        data: DataOption = None,
         touch: TouchOption = True,
         seed: SeedOption = 0,
         out: OutOption = DEFAULT_FOLDER,
         jobs: JobsOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        _print_study(
-            _run_study(study, _make_bench("trapezoid_2hz", library, noise_mv, spread, touch), grasps, seed, jobs),
-            out,
-            as_json,
-        )
+        bench = _make_bench(data, "trapezoid_2hz", library, noise_mv, spread, touch)
+        _run_study(study, bench, grasps, seed, out, jobs, as_json)
 
     return command
 
@@ -146,7 +154,7 @@ for entry in STUDIES.values():
 
 
 @app.command("spots", cls=LabelCommand)
-def spots(
+def validate_on_new_spots(
     label: Annotated[list[str], typer.Option("--label", metavar=LABEL_METAVAR, help=LABEL_HELP)],
     recordings: Annotated[
         list[Path] | None, typer.Argument(metavar="FILE...", help="Recordings; a label may name each by its name.")
@@ -158,10 +166,13 @@ def spots(
     base: Annotated[
         str, typer.Option(metavar="NAME|FILE", help="Library that injury thresholds, mass and jaw area come from.")
     ] = "porcine",
+    data: DataOption = None,
     out: OutOption = DEFAULT_FOLDER,
     as_json: JsonOption = False,
 ) -> None:
-    """How right a learned library is on spots that it was not learned from: leave each recording out in turn.
+    """Measure how often a learned library is right on spots that it was not learned from.
+
+    Each recording is left out in turn.
 
     Example: graspwatch study spots liver1.lvm.gz liver2.lvm.gz bladder1.lvm.gz --label liver=liver1,liver2
     --label bladder=bladder1
@@ -173,15 +184,14 @@ def spots(
     from estimator.learning.spot_validation import leave_recordings_out
 
     files = _collect_labeled_files(label, recordings or [])
-    context, like, settings = (
-        load_tool(tool) if tool else find_recording_tool(files),
-        load_library(base),
-        load_settings(),
-    )
+    _check_output_folder(out)
+    settings = load_settings()
+    folder = locate_data_folder(data, settings)
+    context, like = load_tool(tool, folder) if tool else find_recording_tool(files), load_library(base, folder)
     with ProgressBar("spots", 1.0) as progress:
         found = load_training_set(files, context, like, settings, 0, lambda share: progress(0.3 * share))
         today = date.today().isoformat()
-        own, strangers = leave_recordings_out(
+        own, left_out = leave_recordings_out(
             found.recordings,
             partial(fit_recordings, tool=context, base=like, base_name=base, date=today),
             context,
@@ -195,7 +205,7 @@ def spots(
             "no tissue has two recordings, so nothing says how much spots differ. Record another spot of each tissue."
         )
     about = {"tool": context.name, "base": base, "recordings": str(len(found.recordings)), "date": today}
-    _print_study(build_spot_study(own, strangers, about), out, as_json)
+    _print_study(build_spot_study(own, left_out, about), out, as_json)
 
 
 def _collect_labeled_files(labels: list[str], recordings: list[Path]) -> dict[str, list[Path]]:
@@ -222,25 +232,48 @@ def _collect_labeled_files(labels: list[str], recordings: list[Path]) -> dict[st
 
 
 def _run_study(
-    study: StudyDefinition, bench: "StudyConditions", grasps: int, seed: int, jobs: int | None
-) -> "StudyResult":
+    study: StudyDefinition, bench: "StudyConditions", grasps: int, seed: int, out: Path, jobs: int | None, as_json: bool
+) -> None:
+    """Run a study and print its result.
+
+    Raises:
+        ConfigurationError: the folder `out` cannot be written to, which is checked before the study.
+        ServiceError: its disk is full.
+    """
+    _check_output_folder(out)
     with _ProgressDisplay(study.name) as progress:
-        return study.run(bench, grasps, seed, progress, jobs)
+        result = study.run(bench, grasps, seed, progress, jobs)
+    _print_study(result, out, as_json)
+
+
+def _check_output_folder(out: Path) -> None:
+    with explain_write_errors(out):
+        check_writable(out)
 
 
 def _make_bench(
-    protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool = True
+    data: Path | None, protocol: str, library: str, noise_mv: float, spread: float, touch: bool, thickness: bool = True
 ) -> "StudyConditions":
     """Return the conditions that all grasps share.
 
     Raises:
         ConfigurationError: there is no such protocol or library.
     """
-    load_grasp_protocol(protocol)  # to refuse a wrong name before the study starts
-    load_library(library)
+    own = locate_data_folder(data, load_settings())
+    load_grasp_protocol(protocol, own)  # to refuse a wrong name before the study starts
+    load_library(library, own)
     from estimator.studies.answer_course import StudyConditions  # a slow import
 
+    protocol, library = (
+        _name_own_by_path(protocol, FileKind.PROTOCOL, own),
+        _name_own_by_path(library, FileKind.LIBRARY, own),
+    )
     return StudyConditions(protocol, library, noise_mv, spread, touch, thickness)
+
+
+def _name_own_by_path(name: str, kind: FileKind, data_folder: Path) -> str:
+    """Return a shipped name as it is, and the path of an own file: a study's processes know no data folder."""
+    return name if name in list_shipped_names(kind.folder) else str(find_file(name, kind, data_folder))
 
 
 class _ProgressDisplay:
@@ -278,7 +311,8 @@ class _ProgressDisplay:
 
 
 def _print_study(study: "StudyResult", out: Path, as_json: bool) -> None:
-    page, data = study.write(out)
+    with explain_write_errors(out):
+        page, data = study.write(out)
     if as_json:
         print(json.dumps(study.to_document(), indent=2, allow_nan=False))
         return

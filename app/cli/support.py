@@ -20,14 +20,15 @@ import typer
 from app import __version__
 from app.audit.chain_check import check_journal
 from app.cli.console import error_console
-from app.cli.options import ConfigOption, DataOption, ToolOption, prepare_data_folder
+from app.cli.options import ConfigOption, DataOption, ToolOption, explain_write_errors, find_data_folder
 from app.host.disk import free_bytes
 from app.host.logs import LOG_FILE
 from app.host.logs import LOG_FOLDER as LOGS
 from app.people import tokens
-from config.errors import ConfigurationError, GraspwatchError
+from config.atomic_write import open_atomically
+from config.errors import GraspwatchError
 from config.load import load_library, load_settings, load_tool
-from config.network import is_this_computer
+from config.network import is_this_computer, reachable_host
 from config.schema import Settings
 
 REDACTED = "(hidden)"
@@ -68,18 +69,21 @@ def support(
     Example: graspwatch support --out help.zip
     """
     settings = load_settings(config)
-    folder = prepare_data_folder(data, settings)
+    folder = find_data_folder(data, settings)
     path = out or Path(f"graspwatch-support-{datetime.now(UTC):%Y%m%d-%H%M%S}.zip")
-    address = url or f"http://localhost:{settings.server.port}"
+    server = settings.server
+    scheme = "https" if server.tls_cert else "http"
+    address = url or f"{scheme}://{reachable_host(server.host)}:{server.port}"
     parts = {"README.txt": README_TEXT} | _collect_local(settings, tool, folder) | _collect_service(address, token)
     for file in sorted((folder / LOGS).glob(f"{LOG_FILE}*")):
         parts[f"{LOGS}/{file.name}"] = file.read_text(encoding="utf-8", errors="replace")
-    try:
-        with zipfile.ZipFile(path, "x", zipfile.ZIP_DEFLATED) as bundle:
-            for name, content in parts.items():
-                bundle.writestr(name, TOKEN_PATTERN.sub(REDACTED, content))
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written ({error.strerror}). Name another with --out.") from None
+    with (
+        explain_write_errors(path),
+        open_atomically(path, overwrite=False) as file,
+        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as bundle,
+    ):
+        for name, content in parts.items():
+            bundle.writestr(name, TOKEN_PATTERN.sub(REDACTED, content))
     error_console.print(README_TEXT, soft_wrap=True)
     print(path)
 
@@ -89,8 +93,8 @@ def _collect_local(settings: Settings, tool: str | None, data: Path) -> dict[str
     wanted: dict[str, Callable[[], Any]] = {
         "about.json": _describe_system,
         "settings.json": lambda: settings.model_dump(mode="json"),
-        "tool.json": lambda: load_tool(tool or settings.tool).model_dump(mode="json"),
-        "library.json": lambda: load_library(settings.library).model_dump(mode="json"),
+        "tool.json": lambda: load_tool(tool or settings.tool, data).model_dump(mode="json"),
+        "library.json": lambda: load_library(settings.library, data).model_dump(mode="json"),
         "data.json": lambda: _describe_data(data),
         "journal.json": lambda: check_journal(data, ()).model_dump(mode="json"),
         "index.json": lambda: _describe_index(settings, data),

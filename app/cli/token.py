@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from app.cli.console import create_console, error_console
-from app.cli.options import ConfigOption, DataOption, JsonOption, prepare_data_folder
+from app.cli.options import ConfigOption, DataOption, JsonOption, find_data_folder, prepare_known_data_folder
 from app.messages.people import Role
 from app.people import tokens
 from config.load import load_settings
@@ -37,7 +37,7 @@ def add(
 
     Example: graspwatch token add Ada --role operator --expires 30
     """
-    token = tokens.add_token(prepare_data_folder(data, load_settings(config)), name, role, expires)
+    token = tokens.add_token(prepare_known_data_folder(data, load_settings(config)), name, role, expires)
     error_console.print(f"The token of {name}, {role.value}. It is shown this once:", soft_wrap=True)
     print(token)
 
@@ -48,7 +48,7 @@ def list_(config: ConfigOption = None, data: DataOption = None, as_json: JsonOpt
 
     Example: graspwatch token list
     """
-    people = tokens.read_tokens(prepare_data_folder(data, load_settings(config)))
+    people = tokens.read_tokens(find_data_folder(data, load_settings(config)))
     if as_json:
         print(json.dumps([entry.model_dump(mode="json", exclude={"sha256"}) for entry in people], indent=2))
         return
@@ -56,7 +56,7 @@ def list_(config: ConfigOption = None, data: DataOption = None, as_json: JsonOpt
     for heading in ("Name", "Role", "Made", "State"):
         table.add_column(heading)
     for entry in people:
-        table.add_row(entry.name, entry.role.value, f"{entry.created_at:%Y-%m-%d}", entry.state_text)
+        table.add_row(entry.name, entry.role.value, f"{entry.created_at.astimezone():%Y-%m-%d}", entry.state_text)
     create_console().print(table)
 
 
@@ -66,5 +66,5 @@ def revoke(name: NameArgument, config: ConfigOption = None, data: DataOption = N
 
     Example: graspwatch token revoke Ada
     """
-    tokens.revoke_token(prepare_data_folder(data, load_settings(config)), name)
+    tokens.revoke_token(find_data_folder(data, load_settings(config)), name)
     error_console.print(f"The token of {name} is good for nothing any more.", soft_wrap=True)

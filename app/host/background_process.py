@@ -1,4 +1,4 @@
-"""Background processes for long work, with low priority so that they do not slow a live tool.
+"""The function that runs long work in a background process, with low priority so that it does not slow a live tool.
 
 Such a process ends with its children when its task is canceled, or when the service ends in any way.
 """
@@ -34,13 +34,10 @@ async def run_in_background_process(
         GraspwatchError: the error that `work` raised.
         ServiceError: the process died (the text ends with `advice`), or a file could not be read or written.
     """
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_process_main, args=(name, os.getpid(), theirs, work, arguments), name=f"graspwatch-{name}"
-    )
+    ours, theirs = multiprocessing.Pipe(duplex=False)
     with theirs:
-        pid = start_child_process(process)
+        process = start_child_process(f"graspwatch-{name}", _process_main, name, os.getpid(), theirs, work, arguments)
+    assert process.pid is not None  # it is started
     loop, arrived = asyncio.get_running_loop(), asyncio.Event()
     for source in (ours.fileno(), process.sentinel):
         loop.add_reader(source, arrived.set)
@@ -59,11 +56,11 @@ async def run_in_background_process(
     finally:
         for source in (ours.fileno(), process.sentinel):
             loop.remove_reader(source)
-        ours.close()
         process.kill()  # in case it has no group of its own yet, and so no children
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(pid, signal.SIGKILL)  # also children that outlived it
+            os.killpg(process.pid, signal.SIGKILL)  # also children that outlived it
         await asyncio.to_thread(process.join)
+        ours.close()
 
 
 async def _receive(pipe: Connection, process: BaseProcess, arrived: asyncio.Event) -> Any:
@@ -73,7 +70,7 @@ async def _receive(pipe: Connection, process: BaseProcess, arrived: asyncio.Even
             raise EOFError
         arrived.clear()
         await arrived.wait()
-    return pipe.recv()
+    return await asyncio.to_thread(pipe.recv)  # of a large message the rest may be late
 
 
 # --- in the process -----------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The bin, which keeps deleted recordings for a while.
+"""The class BinFolder: the bin of a recordings folder, which keeps deleted recordings for a while.
 
 Each is in a folder of its own, named after the time of its deletion, so that its age is known without an index.
 """
@@ -102,5 +102,5 @@ class BinFolder:
 
 
 def find_expired(files: list[BinnedFile], keep_days: float, now: datetime) -> list[BinnedFile]:
-    """Return the files that were deleted more than `keep_days` ago."""
+    """Return those of the bin's `files` that were deleted more than `keep_days` ago."""
     return [file for file in files if now - file.deleted_at > timedelta(days=keep_days)]

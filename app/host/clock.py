@@ -1,4 +1,4 @@
-"""The service's clock: milliseconds since 1970, without steps when the system's time is set."""
+"""Functions of the service's clock: milliseconds since 1970, without steps when the system's time is set."""
 
 import time
 
@@ -10,5 +10,5 @@ def now_ms() -> float:
 
 
 def monotonic_to_wall_ms(t_mono_ns: int) -> float:
-    """Convert a time of `time.monotonic_ns` to this clock."""
+    """Return a time of `time.monotonic_ns` as milliseconds since 1970 by this clock."""
     return t_mono_ns / 1e6 + WALL_CLOCK_OFFSET_MS

@@ -1,12 +1,13 @@
-"""The service's logs: on the error output, and as JSON lines in files of the data folder.
+"""The function that sets up the service's logs: on the error output, and as JSON lines in files of the data folder.
 
 Each target has a thread of its own, so that an unread error output or a slow disk cannot block the service. Every line
 names its run and grasp, if there are any.
 """
 
+import contextlib
 import logging
+import os
 import queue
-import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from config.schema import LogFormat, LogSettings
 
 MAX_QUEUED_LINES = 1000
 FLUSH_TIMEOUT_S = 0.2
+ERROR_OUTPUT = 2  # file descriptor
 MAX_FILE_BYTES, MAX_FILES = 2_000_000, 5
 LOG_FOLDER, LOG_FILE = "logs", "graspwatch.jsonl"
 
@@ -67,6 +69,24 @@ class QueuedLogHandler(logging.Handler):
             self._records.task_done()
 
 
+class _ErrorOutput(logging.Handler):
+    """The error output without a lock and without a buffer.
+
+    At the end of the process Python waits for both, and a paused terminal or full pipe would hold them for ever.
+    """
+
+    def createLock(self) -> None:
+        """Have no lock: one thread writes."""
+        self.lock = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line; raise nothing if the error output is closed."""
+        line = f"{self.format(record)}\n".encode(errors="backslashreplace")
+        with contextlib.suppress(OSError):
+            while line:
+                line = line[os.write(ERROR_OUTPUT, line) :]
+
+
 class _SilentRotatingFileHandler(RotatingFileHandler):
     """A file handler that silently loses lines on a full disk, for which there is an alarm."""
 
@@ -79,7 +99,7 @@ def configure_logging(settings: LogSettings, data: Path, log_context: LogContext
     fields = ("levelname", "name", "message", "run", "grasp")
     as_json = JsonFormatter(fields, timestamp="at", rename_fields={"levelname": "level", "name": "logger"})
     as_text = logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
-    output = logging.StreamHandler(sys.stderr)
+    output = _ErrorOutput()
     output.setFormatter(as_json if settings.format is LogFormat.JSON else as_text)
     handlers: list[logging.Handler] = [
         QueuedLogHandler(output, logging.getLevelName(settings.level.upper()), log_context)

@@ -32,6 +32,11 @@ def note_request(request: HTTPConnection, *, description: str | None = None, by:
     }
 
 
+def note_read_only(request: HTTPConnection) -> None:
+    """Keep a request that changes nothing, such as a check of a text in its body, out of the journal."""
+    request.state.is_read_only = True
+
+
 def describe_client(request: HTTPConnection) -> str:
     """Return a request's address; the claims of a proxy may be wrong and follow in parentheses."""
     host = request.client.host if request.client else "unknown"
@@ -80,6 +85,8 @@ def _write_journal_entry(
     response_body: bytes,
 ) -> None:
     route = request.scope.get("route")
+    if getattr(request.state, "is_read_only", False):
+        return
     if route is None and status is not HTTPStatus.FORBIDDEN:
         return  # no such route, or AuthMiddleware refused an unknown user; it logs wrong tokens itself
     note = getattr(request.state, "request_note", {})

@@ -1,4 +1,4 @@
-"""Limits on the number of connections and on the time of their handshakes."""
+"""Classes and functions that limit the number of connections and the time of their handshakes."""
 
 import asyncio
 import resource
@@ -10,8 +10,12 @@ from typing import Any
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+from config.errors import ServiceError
+
 TLS_HANDSHAKE_TIMEOUT_S = 3.0
 CLOSE_LINGER_S = 1.0
+RESERVED_FILES, MIN_CONNECTIONS = 160, 10
+"""Open files that are no connections: 50 of a service at rest, and those of reports, downloads and starting workers."""
 BAD_HANDSHAKE_RESPONSE = b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
@@ -23,10 +27,24 @@ class TlsTimeoutEventLoop(asyncio.SelectorEventLoop):
         return await super().create_server(*arguments, ssl=ssl, ssl_handshake_timeout=timeout_s, **options)
 
 
-def raise_open_file_limit() -> None:
-    """Raise the limit of open files to the system's maximum, so that handshakes leave room for other connections."""
+def reserve_open_files(max_connections: int) -> int:
+    """Raise the limit of open files to the system's maximum, and return how many connections it leaves room for.
+
+    At most `max_connections`, so that handshakes leave room for other connections.
+
+    Raises:
+        ServiceError: the limit is too low for a service.
+    """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if most == resource.RLIM_INFINITY:
+        return max_connections
+    if most < RESERVED_FILES + MIN_CONNECTIONS:
+        raise ServiceError(
+            f"The system allows {most} open files, and a service needs {RESERVED_FILES + MIN_CONNECTIONS}. Raise the "
+            "limit (`ulimit -Hn`, LimitNOFILE= of systemd), then start again."
+        )
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    return min(max_connections, most - RESERVED_FILES)
 
 
 class LingeringWebSocketProtocol(WebSocketsSansIOProtocol):

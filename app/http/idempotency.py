@@ -1,4 +1,4 @@
-"""Answers kept under the `Idempotency-Key` of their requests, so that a repeated request changes nothing."""
+"""The class IdempotentAnswers: answers kept under the `Idempotency-Key`, so that a repeated request changes nothing."""
 
 import asyncio
 import time

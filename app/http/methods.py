@@ -1,4 +1,4 @@
-"""The HTTP methods that change nothing, the routes for HEAD, and the methods that a path allows."""
+"""The HTTP methods that change nothing, and functions for HEAD routes and the methods that a path allows."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,4 @@
-"""Headers of a page of results: the total number, and links to the other pages (RFC 8288)."""
+"""The function that sets the headers of a page of results: total number, and links to the other pages (RFC 8288)."""
 
 from urllib.parse import quote, urlencode
 

@@ -1,4 +1,4 @@
-"""Errors of the REST interface as `application/problem+json` (RFC 9457)."""
+"""The error ProblemError, and handlers that answer errors as `application/problem+json` (RFC 9457)."""
 
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
@@ -42,12 +42,15 @@ class ProblemError(Exception):
         field: str | None = None,
         headers: dict[str, str] | None = None,
         run: Run | None = None,
+        messages: Sequence[str] = (),
     ) -> None:
+        """`messages`: one for each fault of the field, where it has several; otherwise `detail` is its only one."""
         super().__init__(detail)
         self.status, self.detail, self.field, self.headers, self.run = status, detail, field, headers, run
+        self._messages = messages or (detail,)
 
     def response(self) -> JSONResponse:
-        errors = [{"field": self.field, "message": self.detail}] if self.field else None
+        errors = [{"field": self.field, "message": each} for each in self._messages] if self.field else None
         return _problem_response(self.status, self.detail, errors, self.headers, self.run)
 
 

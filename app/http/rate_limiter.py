@@ -1,4 +1,4 @@
-"""A rate limiter for requests."""
+"""The class RateLimiter, which limits the rate of each client's requests."""
 
 import time
 from collections import OrderedDict
@@ -8,7 +8,7 @@ MAX_CLIENTS = 10_000  # beyond that, the client idle for longest is forgotten; i
 
 
 class RateLimiter:
-    """A token bucket for each client: it holds `burst` tokens and regains `rate_per_s`."""
+    """Rate limiter with a token bucket for each client: `burst` attempts at once, and `rate_per_s` more each second."""
 
     def __init__(self, rate_per_s: float, burst: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._rate_per_s, self._burst, self._clock = rate_per_s, burst, clock

@@ -1,4 +1,4 @@
-"""The origin of a request: this computer, a proxy, or a page of another site, judged by the headers as sent.
+"""Functions that judge a request's origin by its headers as sent: this computer, a proxy, a page of another site.
 
 Starlette's `request.url` replaces an unreadable `Host` with the server's own address. Here a header that is missing,
 repeated or malformed counts as absent.

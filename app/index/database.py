@@ -1,10 +1,11 @@
-"""Connection to the index's database and migration of its tables, for SQLite and PostgreSQL."""
+"""Functions that connect to the index's database and migrate its tables, for SQLite and PostgreSQL."""
 
 import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from alembic import command
 from alembic.config import Config
@@ -16,6 +17,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError
 from app.index.database_errors import REBUILD_COMMAND, display_url, to_service_error
 from app.index.tables import IndexTable
 from config.errors import ConfigurationError, ServiceError
+from config.home_folder import expand_home
 from config.schema import Settings
 
 MIGRATIONS_FOLDER = Path(__file__).parent / "migrations"
@@ -48,7 +50,7 @@ def resolve_index_url(setting: str | None, data: Path) -> URL:
         case "postgresql" | "postgres" | "postgresql+psycopg":
             return url.set(drivername="postgresql+psycopg")
         case "sqlite" if url.database and url.database != ":memory:" and not url.query:
-            return url.set(database=os.path.abspath(url.database))
+            return url.set(database=os.path.abspath(expand_home(url.database)))
     raise ConfigurationError(f"index_url: {url.drivername!r} does not do as an index. {advice}")
 
 
@@ -76,6 +78,20 @@ def make_engine(url: URL) -> Engine:
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+def make_reading_engine(url: URL) -> Engine:
+    """Return an engine that changes nothing, for a database that may be in a folder that cannot be written to.
+
+    Raises:
+        ConfigurationError: PostgreSQL's driver is not installed.
+    """
+    if url.get_backend_name() != "sqlite" or os.access(Path(url.database or "").parent, os.W_OK):
+        return make_engine(url)
+    # SQLite locks by files beside the database; where nobody can write, an empty log of writes needs none.
+    log = Path(f"{url.database}-wal")
+    how = {"mode": "ro"} if log.exists() and log.stat().st_size else {"immutable": "1"}
+    return make_engine(url.set(database=f"file:{quote(url.database or '')}", query={"uri": "true", **how}))
 
 
 def make_writing_engine(engine: Engine) -> Engine:

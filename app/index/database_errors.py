@@ -1,4 +1,4 @@
-"""Messages for people from database errors, without passwords."""
+"""Functions that make messages for people from database errors, without passwords."""
 
 import sqlite3
 
@@ -45,7 +45,7 @@ def to_service_error(url: URL, error: DBAPIError) -> ServiceError:
 
 
 def describe_cause(error: DBAPIError) -> str:
-    """Return what is wrong and what to do next."""
+    """Return what is wrong with a database, and what to do next, from its error."""
     original = error.orig
     if isinstance(original, sqlite3.Error):
         primary = getattr(original, "sqlite_errorcode", 0) & 0xFF  # the rest of the code is detail

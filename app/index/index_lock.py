@@ -1,4 +1,4 @@
-"""Lock of an index: shared by any number of services, or exclusive to one rebuild. It ends with its process."""
+"""The class IndexLock: shared by any number of services, or exclusive to one rebuild. It ends with its process."""
 
 import fcntl
 import os
@@ -19,8 +19,8 @@ LOCK_TIMEOUT_S = 10.0
 class IndexLock:
     """Lock on the index of an engine; a context that releases it.
 
-    `is_first_user` says that no other service had the lock: then no run listed as under way still is. The first user
-    has the lock exclusively until `downgrade_to_shared`, so that only one process creates the tables.
+    `had_no_other_user` says that no other service had the lock: then no run listed as under way still is. Such a first
+    user has the lock exclusively until `downgrade_to_shared`, so that only one process creates the tables.
 
     Raises:
         ServiceError: a rebuild has the lock, or (`exclusive`) a service, or the lock cannot be acquired at all.
@@ -29,13 +29,13 @@ class IndexLock:
     def __init__(self, engine: Engine, *, exclusive: bool = False) -> None:
         self._lock: _FileLock | _AdvisoryLock
         self._lock = _FileLock(engine) if engine.dialect.name == "sqlite" else _AdvisoryLock(engine)
-        self.is_first_user = self._lock.acquire(exclusive=True)
-        if exclusive and not self.is_first_user:
+        self.had_no_other_user = self._lock.acquire(exclusive=True)
+        if exclusive and not self.had_no_other_user:
             self.close()
             raise ServiceError(
                 f"A service uses the index {display_url(engine.url)}. Stop the service, then rebuild it."
             )
-        if not self.is_first_user and not self._wait_for_shared():
+        if not self.had_no_other_user and not self._wait_for_shared():
             self.close()
             raise ServiceError(f"The index {display_url(engine.url)} is being rebuilt. Start again when that is done.")
 

@@ -1,4 +1,4 @@
-"""The service's writer to the index: a queue and a thread, so that a slow database never blocks the event loop."""
+"""The class IndexWriter: a queue and a thread, so that a slow database never blocks the service's event loop."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""Ingestion of records into the tables. Ingesting a record twice changes nothing.
+"""Functions that put records into the index's tables. A record that is put in twice changes nothing.
 
 Runs, grasps, alarms and journal lines may come in any order: the newest message of each wins. Of a recording's file the
 last message wins, because it describes the present state.
@@ -47,7 +47,7 @@ def ingest(session: Session, message: IndexedMessage, run_id: str | None = None)
 
 
 def parse_iso_ms(moment: str) -> float:
-    """Convert ISO 8601 to milliseconds since 1970; without a time zone it is UTC."""
+    """Return an ISO 8601 time as milliseconds since 1970, with fractions; without a time zone it is UTC."""
     found = datetime.fromisoformat(moment)
     return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp() * 1e3
 

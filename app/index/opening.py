@@ -1,4 +1,4 @@
-"""Opening of an index for a service, before the tool moves."""
+"""The function that opens an index for a service, before the tool moves."""
 
 import os
 from pathlib import Path
@@ -33,7 +33,7 @@ def open_store_for_service(url: URL, data: Path, readers: tuple[RecordingReader,
     store = Store(url)
     try:
         _ingest_journal_tail(store, data / "journal.jsonl")
-        if store.is_first_user:  # otherwise another service may be writing them
+        if store.had_no_other_user:  # otherwise another service may be writing them
             _ingest_missing_recordings(store, data, readers)
     except BaseException:
         store.close()

@@ -1,4 +1,4 @@
-"""Queries of the index: filters and paging, as REST takes them, and their SQL statements."""
+"""Classes of queries of the index, with filters and paging as REST takes them, and functions for their SQL."""
 
 from datetime import datetime
 from enum import StrEnum

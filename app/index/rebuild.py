@@ -1,4 +1,4 @@
-"""Rebuild of the index from all recordings and the journal, which hold the same messages as the live index.
+"""The function that rebuilds the index from all recordings and the journal, which hold the same messages.
 
 The index does not know the format of a recording: a `RecordingReader` reads each kind.
 """
@@ -14,7 +14,7 @@ from sqlalchemy import URL, delete
 from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session
 
-from app.audit.journal_file import find_journals, open_journal
+from app.audit.journal_file import find_journals, open_journal_for_reading
 from app.host.bin_folder import BinFolder, BinnedFile
 from app.index.database import explain_database_errors, make_engine
 from app.index.index_lock import IndexLock
@@ -191,7 +191,7 @@ def parse_journal_lines(lines: Iterable[bytes]) -> Iterator[JournalEntry | None]
 
 def _ingest_journal(session: Session, path: Path, result: RebuildResult) -> None:
     try:
-        with open_journal(path) as file:
+        with open_journal_for_reading(path) as file:
             for entry in parse_journal_lines(file):
                 result.lines += 1
                 if entry is None:

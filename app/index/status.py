@@ -1,4 +1,4 @@
-"""Status of an index, read without changing it: its counts and what it lacks."""
+"""Functions that read an index's status, its counts and what it lacks, without changing it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from sqlalchemy import URL, Connection, MetaData, Table, inspect, select
 from sqlalchemy import func as sql
 
 from app.index import queries
-from app.index.database import explain_database_errors, make_engine, newest_revision, read_revision
+from app.index.database import explain_database_errors, make_reading_engine, newest_revision, read_revision
 from app.index.database_errors import display_url
 from app.index.ingest import line_key
 from app.index.queries import ChainPosition
@@ -36,8 +36,9 @@ def read_status(url: URL, data: Path, readers: tuple[RecordingReader, ...]) -> I
         ServiceError: it cannot be read.
     """
     if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # a look must not create one
-        return IndexStatus(display_url(url), None, newest_revision(), {}, ["everything: there is no index yet"])
-    engine = make_engine(url)
+        lacks = "there is no index yet" if data.is_dir() else f"there is no folder {data}"
+        return IndexStatus(display_url(url), None, newest_revision(), {}, [f"everything: {lacks}"])
+    engine = make_reading_engine(url)
     try:
         with explain_database_errors(url), engine.connect() as connection:
             revision = read_revision(connection)
@@ -62,7 +63,7 @@ def read_chain_positions(url: URL) -> list[ChainPosition]:
     """
     if url.get_backend_name() == "sqlite" and not Path(url.database or "").exists():  # a look must not create one
         return []
-    engine = make_engine(url)
+    engine = make_reading_engine(url)
     try:
         with explain_database_errors(url), engine.connect() as connection:
             return queries.fetch_chain_positions(connection) if inspect(connection).has_table("audit") else []

@@ -1,4 +1,4 @@
-"""The index's store: ingests and returns records. It blocks; `index_writer.py` is for the event loop."""
+"""The class Store, which puts records into the index and finds them. It blocks; IndexWriter is for the event loop."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -57,9 +57,9 @@ class Store:
             raise
 
     @property
-    def is_first_user(self) -> bool:
+    def had_no_other_user(self) -> bool:
         """Whether no other service used the index when this one opened it."""
-        return self._index_lock.is_first_user
+        return self._index_lock.had_no_other_user
 
     def close(self) -> None:
         self._index_lock.close()

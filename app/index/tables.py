@@ -1,4 +1,4 @@
-"""The tables: columns for searching and sorting, and the whole message as JSON.
+"""The index's tables: columns for searching and sorting, and the whole message as JSON.
 
 Times are milliseconds since 1970. `message` is the record (`app/messages/stored.py`); a run known only by its grasps
 has none.
@@ -62,7 +62,7 @@ class AlarmRow(IndexTable):
 
 
 class AuditRow(IndexTable):
-    """`key`: the line's digest; a line is never changed."""
+    """A line of the journal. `key` is the digest of its content, which identifies it: lines never change."""
 
     __tablename__ = "audit"
     __table_args__ = (Index("audit_by_time", "at_ms", "key"),)

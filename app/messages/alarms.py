@@ -37,7 +37,7 @@ class Alarm(Record):
 
 
 class AcknowledgeRequest(Request):
-    """Acknowledge an alarm that a person has seen."""
+    """Request to acknowledge an alarm that a person has seen."""
 
     by: PersonName | None = Field(
         default=None, description="Name of the person; optional for a person who is signed in"

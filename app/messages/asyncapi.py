@@ -16,7 +16,7 @@ AFTER = "Number of the last event that the viewer has received; the stream goes 
 
 
 def render_asyncapi() -> str:
-    """Return the exact content of the file."""
+    """Return the exact content of `docs/reference/asyncapi.json`."""
     contract = build_schema()
     names = (*FROM_REPLAY, *FROM_REPLAY_VIEWER)
     schemas = {name: contract["$defs"][name] for name in sorted(find_used_schemas(names, contract["$defs"]))}

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """The version of REST bodies and live stream; raised when a field is removed, retyped or given another meaning."""
 
 PersonName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"\S")]
@@ -20,19 +20,19 @@ Reason = Annotated[str, Field(min_length=3, max_length=300, pattern=r"\S")]
 
 
 class Message(BaseModel):
-    """What the service sends: an answer, or a message of the live stream."""
+    """Base of what the service sends: an answer, or a message of the live stream."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, ser_json_inf_nan="null")
 
 
 class Record(Message):
-    """A message that is also stored: in a row of the index, a recording, a journal line or a study's folder.
+    """Base of messages that are also stored: in the index, a recording, a journal line or a study's folder.
 
     `app/messages/stored.py` reads it back, also as an older or newer version wrote it.
     """
 
 
 class Request(BaseModel):
-    """What a client sends. An unknown field is an error: it may be a misspelled one."""
+    """Base of what a client sends. An unknown field is an error: it may be a misspelled one."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")

@@ -19,7 +19,7 @@ class CalibrationKind(StrEnum):
 
 
 class CalibrationRequest(Request):
-    """Begin a calibration of the tool, without tissue."""
+    """Request to begin a calibration of the tool, without tissue."""
 
     what: CalibrationKind
     values: Annotated[list[Annotated[float, Field(ge=0, le=1000)]], Field(max_length=50)] = Field(
@@ -70,7 +70,7 @@ class CalibrationResult(Message):
 
 
 class Calibration(Message):
-    """The calibration under way, or the last one."""
+    """State of the calibration under way, or of the last one."""
 
     what: CalibrationKind | None
     values: list[float] = Field(description="Values of all readings, in order")

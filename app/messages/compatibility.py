@@ -1,4 +1,4 @@
-"""Comparison of two JSON schemas: which changes do programs and files of the version before not bear?
+"""Functions that compare two JSON schemas and find the changes that break programs or files of the version before.
 
 A changed type is compared by its alternatives: each of `anyOf`, each value of an enumeration, each plain type.
 """

@@ -24,15 +24,14 @@ class Grasp(GraspRecord, Record):
     """A finished grasp. A field without a value is null."""
 
     alarms: list[Priority] = Field(description="Force warnings during the grasp: the highest of each rise of the force")
-    held_back: bool = Field(description="Whether the limiter kept the command lower than the protocol asks for")
 
     @classmethod
-    def from_record(cls, record: GraspRecord, alarms: list[Priority], *, held_back: bool) -> Self:
-        return cls(**dict(record), alarms=alarms, held_back=held_back)
+    def from_record(cls, record: GraspRecord, alarms: list[Priority]) -> Self:
+        return cls(**dict(record), alarms=alarms)
 
 
 class GraspEnded(Record):
-    """A grasp ended."""
+    """Message that a grasp has ended, with its record."""
 
     type: Literal["grasp"] = "grasp"
     number: EventNumber = None

@@ -1,4 +1,4 @@
-"""The lines of the journal, and the result of its check."""
+"""Messages about the journal: its lines, and the result of its check."""
 
 from collections.abc import Mapping
 from enum import StrEnum
@@ -35,7 +35,7 @@ class JournalKind(StrEnum):
 
 
 class Result(StrEnum):
-    """The result of a request."""
+    """How a request in the journal ended."""
 
     DONE = "done"
     REFUSED = "refused"

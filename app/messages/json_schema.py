@@ -23,9 +23,10 @@ from app.messages.compatibility import find_unexpected_changes, find_unreadable_
 from app.messages.grasps import Grasp, GraspEnded, Identification
 from app.messages.journal import JournalCheck, JournalEntry
 from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, FrameReceived, ReplayControl, ServerMessage
+from app.messages.named_files import FileCheck, FileContent, FileList, FileRequest, FileText, ToolDraftReport
 from app.messages.people import ControlInfo, ControlRequest, SessionInfo, SignIn
 from app.messages.recordings import BinContent, FileRecord, Recordings
-from app.messages.runs import Run, RunRequest, SpotRequest, StopAnswer, StopRequest
+from app.messages.runs import DeclineRequest, Run, RunRequest, SpotRequest, StopAnswer, StopRequest
 from app.messages.studies import Studies, StudyRequest, StudyRun
 from app.messages.system import Health, Problem, System
 from app.messages.tool import ArmRequest, LibraryInfo, ProtocolInfo, SafetyReport
@@ -53,6 +54,10 @@ SENT_BY_SERVER: tuple[type[Message], ...] = (
     SessionInfo,
     ControlInfo,
     Calibration,
+    FileList,
+    FileCheck,
+    FileContent,
+    ToolDraftReport,
 )
 """Answers to requests, beside the `ServerMessage`s of the live stream."""
 SENT_BY_CLIENT: tuple[type[Request], ...] = (
@@ -60,6 +65,7 @@ SENT_BY_CLIENT: tuple[type[Request], ...] = (
     ArmRequest,
     StopRequest,
     SpotRequest,
+    DeclineRequest,
     FrameReceived,
     AcknowledgeRequest,
     ReplayControl,
@@ -67,6 +73,8 @@ SENT_BY_CLIENT: tuple[type[Request], ...] = (
     SignIn,
     ControlRequest,
     CalibrationRequest,
+    FileText,
+    FileRequest,
 )
 STORED: tuple[type[Record], ...] = (Run, GraspEnded, Alarm, Identification, JournalEntry, FileRecord, StudyRun)
 
@@ -95,7 +103,7 @@ def _collect_definitions(inputs: list[tuple[str, JsonSchemaMode, TypeAdapter[Any
 
 
 def build_schema() -> dict[str, Any]:
-    """Build the schema: messages and bodies under `$defs`, the binary frame's header under `x-frame`."""
+    """Return the schema of what is sent: messages and bodies under `$defs`, the frame's header under `x-frame`."""
     inputs: list[tuple[str, JsonSchemaMode, TypeAdapter[Any]]] = [
         ("ServerMessage", "serialization", TypeAdapter(ServerMessage)),
         *((each.__name__, "serialization", TypeAdapter(each)) for each in SENT_BY_SERVER),
@@ -113,7 +121,7 @@ def build_schema() -> dict[str, Any]:
 
 
 def build_records_schema() -> dict[str, Any]:
-    """Build the schema of the records, by which `read_stored` reads them."""
+    """Return the schema of the records that are stored, by which `read_stored` reads them."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Records",

@@ -47,7 +47,7 @@ FRAME_KINDS = {FrameKind.LIVE: 0, FrameKind.HISTORY: 1}
 
 
 class Phase(StrEnum):
-    """The phase of the service."""
+    """What the service is doing."""
 
     STARTING = "starting"
     IDLE = "idle"
@@ -100,6 +100,22 @@ class RecordingState(Message):
 RECORDER_OFF = RecordingState(enabled=False, file=None, samples=0, missing_blocks=0, problem=None)
 
 
+class ReferenceState(Message):
+    """State of the day's reference grasp on empty jaws, which makes grasps of different days comparable."""
+
+    taken_at: str | None = Field(description="Time of the reference grasp in use, ISO 8601; null: the day has none")
+    stall_v: float | None = Field(description="Strain over rest at which the drive stalls on empty jaws, V")
+    declined: bool = Field(description="Whether a person went on without one today, so that the stall counts less")
+    wanted: bool = Field(
+        description="Whether the page asks for one before the next run: the tool is real, its library learned, and the "
+        "day has none"
+    )
+    problem: str | None = Field(description="Why the last reference grasp could not be used, and what to do")
+
+
+NO_REFERENCE = ReferenceState(taken_at=None, stall_v=None, declined=False, wanted=False, problem=None)
+
+
 class State(Message):
     """The state of the service, sent once a second and at every change."""
 
@@ -119,6 +135,7 @@ class State(Message):
     estimator_latency_ms: float | None
     viewers: int
     recording: RecordingState
+    reference: ReferenceState = Field(default=NO_REFERENCE, description="The day's reference grasp")
     free_disk_bytes: int | None = Field(description="Null: the data folder is missing")
     faults: list[str]
     event_number: int | None = Field(

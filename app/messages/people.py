@@ -24,13 +24,13 @@ class Role(StrEnum):
 
 
 class SignIn(Request):
-    """Sign a browser in."""
+    """Request to sign a browser in."""
 
     token: Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class SessionInfo(Message):
-    """The person who sends the request."""
+    """The person who sends the request, with the role."""
 
     needed: bool = Field(description="Whether tokens are needed; if not, every user of this computer is admin")
     name: str | None = Field(description="Null: not signed in, or the service has no tokens")
@@ -38,13 +38,13 @@ class SessionInfo(Message):
 
 
 class ControlRequest(Request):
-    """Take control of the tool."""
+    """Request to take control of the tool."""
 
     take_over: bool = Field(default=False, description="Take control even if another person has it")
 
 
 class ControlInfo(Message):
-    """Control of the tool: the only operator who may start a run."""
+    """Control of the tool: which operator, as the only one, may start a run."""
 
     holder: str | None = Field(description="Null: control is free, and the next start acquires it")
     expires_in_s: float = Field(description="Time until control expires, unless the holder acts")

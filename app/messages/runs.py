@@ -1,4 +1,4 @@
-"""Messages about runs: a run and its state, and the requests that start and stop one."""
+"""Messages about runs, each one playing of a protocol: the run and its state, and requests to start and stop it."""
 
 from enum import StrEnum
 from typing import Annotated
@@ -17,7 +17,7 @@ class RunState(StrEnum):
 
 
 class Run(Record):
-    """One run of a protocol."""
+    """A run: one playing of a protocol, with its state."""
 
     id: str
     protocol: str
@@ -32,7 +32,7 @@ class Run(Record):
 
 
 class RunRequest(Request):
-    """Start a protocol."""
+    """Request to start a run of a protocol."""
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"protocol": "trapezoid_2hz", "cycles": 3, "tissue": "liver"}]}
@@ -50,19 +50,25 @@ class RunRequest(Request):
 
 
 class StopRequest(Request):
-    """Stop the motor. The body is optional."""
+    """Request to stop the motor. The body is optional."""
 
     by: PersonName | None = None
 
 
 class SpotRequest(Request):
-    """Begin a new spot. The body is optional."""
+    """Request to begin a new spot. The body is optional."""
+
+    by: PersonName | None = None
+
+
+class DeclineRequest(Request):
+    """Go on without a reference grasp today. The body is optional."""
 
     by: PersonName | None = None
 
 
 class StopAnswer(Message):
-    """The effect of a stop."""
+    """Answer to a stop: whether it ended a run, and which."""
 
     stopped: bool = Field(description="Whether a run was stopped. The motor is at zero either way")
     run: Run | None

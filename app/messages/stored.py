@@ -1,4 +1,4 @@
-"""The stored form of records: how index rows, recordings, journal lines and studies' folders are read back.
+"""The function that reads stored records back from index rows, recordings, journal lines and studies' folders.
 
 A record is stored as its JSON; a writer may leave out fields that are null. `read_stored` reads what any version wrote:
 

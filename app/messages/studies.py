@@ -1,4 +1,4 @@
-"""Messages about studies."""
+"""Messages about studies, which measure the estimator's accuracy: the available ones, requests and runs."""
 
 from enum import StrEnum
 from typing import Annotated
@@ -18,7 +18,7 @@ class StudyInfo(Message):
 
 
 class StudyRequest(Request):
-    """Start a study; one at a time."""
+    """Request to start a study; one runs at a time."""
 
     study: str = Field(description="Name of a study, see GET /api/studies")
     grasps: Annotated[int, Field(ge=1, le=100_000)] | None = Field(default=None, description="Null: the usual number")

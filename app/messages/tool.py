@@ -4,7 +4,7 @@ from pydantic import Field
 
 from acquisition.safety_state_machine import Safety
 from app.messages.base import Message, PersonName, Reason, Request
-from config.schema import ToolKind
+from config.schema import ForceLaw, ToolKind
 
 UNMEASURED_SCALE_DESCRIPTION = (
     "Why a real tool may be armed although its force scale is not measured: an admin's reason, for the journal"
@@ -33,7 +33,7 @@ class TissueInfo(Message):
 
     name: str
     title: str
-    alpha_n: float
+    alpha_n: float = Field(description="Of tissue held as a fold, with its preload")
     beta_per_m: float
     damping_kg_per_s: float
     thickness_m: float
@@ -54,8 +54,12 @@ class LibraryInfo(Message):
 
 
 class ForceScaleInfo(Message):
-    """The force scale: jaw force is Eq. (2) times `value`, whose true value lies between `low` and `high`."""
+    """The force scale, whose true value lies between `low` and `high`."""
 
+    law: ForceLaw = Field(
+        default=ForceLaw.EQUATION_2,
+        description="`eq2`: jaw force is Eq. (2) times `value`; `constant`: strain over rest times `value`, N/V",
+    )
     value: float
     low: float
     high: float
@@ -81,6 +85,7 @@ class ToolInfo(Message):
     name: str
     title: str
     kind: ToolKind
+    has_motor: bool = Field(default=True, description="Without one nothing is held back: there are only warnings")
     sample_rate_hz: float
     max_command_v: float
     force_ceiling_n: float
@@ -103,7 +108,7 @@ class ProtocolInfo(Message):
 
 
 class ArmRequest(Request):
-    """Arm the tool. The body is optional."""
+    """Request to arm or disarm the tool. The body is optional."""
 
     by: PersonName | None = None
     unmeasured_scale: Reason | None = Field(default=None, description=UNMEASURED_SCALE_DESCRIPTION)

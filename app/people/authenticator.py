@@ -1,4 +1,4 @@
-"""The authenticator: finds the user of each request, limits rates, and closes WebSockets that lost permission."""
+"""The class Authenticator: finds the user of each request, limits rates, and closes WebSockets without permission."""
 
 import asyncio
 import contextlib

@@ -30,18 +30,25 @@ class RoleRequirement:
         self.role = role
 
     async def __call__(self, connection: HTTPConnection) -> None:
-        user = get_user(connection)
-        if self.role is None:
-            return
-        if user is None:  # AuthMiddleware refused the user, unless the path is public for another method
-            raise ProblemError(HTTPStatus.UNAUTHORIZED, "Sign in first.")
-        if not user.role.includes(self.role):
-            detail = (
-                f"{user.name} is {_with_article(user.role)}, and this needs "
-                f"{_with_article(self.role)}. Ask an admin of this service for a "
-                f"token made with `graspwatch token add NAME --role {self.role.value}`."
-            )
-            raise ProblemError(HTTPStatus.FORBIDDEN, detail)
+        if self.role is not None:
+            check_role(connection, self.role)
+
+
+def check_role(connection: HTTPConnection, role: Role) -> None:
+    """Check that the user of a request has a role.
+
+    Raises:
+        ProblemError: the user is unknown, or has less rights.
+    """
+    user = get_user(connection)
+    if user is None:  # AuthMiddleware refused the user, unless the path is public for another method
+        raise ProblemError(HTTPStatus.UNAUTHORIZED, "Sign in first.")
+    if not user.role.includes(role):
+        detail = (
+            f"{user.name} is {_with_article(user.role)}, and this needs {_with_article(role)}. Ask an admin of this "
+            f"service for a token made with `graspwatch token add NAME --role {role.value}`."
+        )
+        raise ProblemError(HTTPStatus.FORBIDDEN, detail)
 
 
 PUBLIC_ROUTE = Depends(RoleRequirement(None))

@@ -1,4 +1,4 @@
-"""Checks before a service starts: the address that it listens on, and its certificate."""
+"""Functions that check, before a service starts, the address that it listens on, and its certificate."""
 
 import ssl
 from pathlib import Path

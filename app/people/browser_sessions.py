@@ -1,4 +1,4 @@
-"""Sessions of signed-in browsers. The server keeps them, so that it can end them; a browser only has a secret."""
+"""The class BrowserSessions: the server keeps the sessions and can end them; a browser only has a secret."""
 
 import secrets
 import time

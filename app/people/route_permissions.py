@@ -1,4 +1,4 @@
-"""The roles that all routes declare, for the authentication and for the API's description."""
+"""Functions that collect the roles that all routes declare, for authentication and the API's description."""
 
 from collections.abc import Iterable, Mapping
 

@@ -1,8 +1,9 @@
-"""Tokens of people: `people.json` in the data folder holds names, roles and hashes, never a token itself.
+"""Functions for tokens of people, and TokenStore: `people.json` holds names, roles and hashes, never a token.
 
 A token is 32 random bytes, so one round of SHA-256 is as good as a slow hash: a token cannot be guessed.
 """
 
+import codecs
 import contextlib
 import fcntl
 import hmac
@@ -16,9 +17,9 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
-from app.host.atomic_write import write_atomically
 from app.messages.people import Role
-from config.errors import ConfigurationError
+from config.atomic_write import write_atomically
+from config.errors import ConfigurationError, build_write_error
 
 TOKEN_FILE = "people.json"
 TOKEN_PREFIX = "gw_"  # lets secret scanners find tokens in wrong places
@@ -27,7 +28,7 @@ MAX_NAME_LENGTH = 40
 
 
 class TokenEntry(BaseModel):
-    """A token that was given to a person. Times are UTC."""
+    """A token that was given to a person. Times are UTC; `state_text` shows the local day."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -53,10 +54,10 @@ class TokenEntry(BaseModel):
     @property
     def state_text(self) -> str:
         if self.revoked_at:
-            return f"revoked {self.revoked_at:%Y-%m-%d}"
+            return f"revoked {self.revoked_at.astimezone():%Y-%m-%d}"
         if self.expires_at is None:
             return "good"
-        return f"{'good until' if self.is_valid else 'expired'} {self.expires_at:%Y-%m-%d}"
+        return f"{'good until' if self.is_valid else 'expired'} {self.expires_at.astimezone():%Y-%m-%d}"
 
 
 class _TokenFileContent(BaseModel):
@@ -86,7 +87,7 @@ def read_tokens(data: Path) -> list[TokenEntry]:
     if mode & 0o077:
         raise ConfigurationError(f"{path}: others may read or change it. Run `chmod 600 {path}`.")
     try:
-        return _TokenFileContent.model_validate_json(content).people
+        return _TokenFileContent.model_validate_json(content.removeprefix(codecs.BOM_UTF8)).people
     except ValidationError as error:
         where = ".".join(str(part) for part in error.errors()[0]["loc"]) or "the whole file"
         raise ConfigurationError(
@@ -142,9 +143,8 @@ def _edit_tokens(data: Path) -> Iterator[list[TokenEntry]]:
             data / TOKEN_FILE, _TokenFileContent(people=people).model_dump_json(indent=2) + "\n", private=True
         )
     except OSError as error:
-        raise ConfigurationError(
-            f"{data / TOKEN_FILE}: cannot be written ({error.strerror}). Make room or mend it."
-        ) from None
+        text = f"{data / TOKEN_FILE}: cannot be written ({error.strerror}). Make room or mend it."
+        raise build_write_error(text, error) from None
     finally:
         os.close(folder)  # releases the lock
 

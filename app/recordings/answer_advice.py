@@ -1,11 +1,13 @@
-"""Advice for recordings of which no grasp gets a name: why that is, and what to do."""
+"""The function that explains why no grasp of a recording got a name, and what to do."""
 
 from collections import Counter
 from collections.abc import Sequence
 
-from config.schema import TissueLibrary, Tool
+from config.schema import SourceConditions, TissueLibrary, Tool
 from estimator.decision import UNKNOWN
 from estimator.estimate_block import GraspRecord
+from estimator.loading.constants import REFERENCE_STALL_SD
+from estimator.loading.day_comparison import find_incomparable
 
 MAX_THRESHOLD_RATIO = 3.0  # of peak forces to the library's highest threshold; more is hardly the force at the jaws
 MIN_PEAK_N = 0.05
@@ -21,8 +23,8 @@ _REMEDIES = {
     "tissue was still held": "The force does not return to rest between grasps: check `rest_offset_v` ({rest_v:g} V).",
     "no contact": "The strain gage rises by less than `force_rise_v` ({rise_v:g} V): check the unit and sign of its "
     "column, and `rest_offset_v` ({rest_v:g} V).",
-    "": "Strain and encoder are outside what [geometry] and `handle_per_encoder` allow: check their units and signs, "
-    "and whether the encoder is at zero with open jaws.",
+    "": "Strain and encoder are outside what {kinematics} allow: check their units and signs, and whether the encoder "
+    "is at zero with open jaws.",
 }
 
 
@@ -30,6 +32,11 @@ def explain_missing_answers(tool: Tool, library: TissueLibrary, grasps: Sequence
     """Return why no grasp of a recording was named and what to do, or None if one was."""
     if any(grasp.label in library.tissues for grasp in grasps):
         return None
+    if not grasps and tool.hand_driven:
+        return (
+            f"No grasp was found: the jaws never travel by `closing_deg` ({tool.hand_driven.closing_deg:g} deg). Check "
+            "the column of `encoder_deg` and its sign, under [table] in the tool file, or lower `closing_deg`."
+        )
     if not grasps:
         return (
             f"No grasp was found: the motor command ({tool.channels.motor_command_readback}) never leaves zero. Check "
@@ -46,14 +53,29 @@ def explain_missing_answers(tool: Tool, library: TissueLibrary, grasps: Sequence
     return " ".join(parts)
 
 
+def explain_missing_reference(library: TissueLibrary, conditions: SourceConditions) -> str | None:
+    """Return why the stall counts less in grasps under these conditions and what to do, or None if it does not."""
+    if not (others := find_incomparable(conditions, library)):
+        return None
+    at, days = conditions.recorded_at, sorted({str(r.recorded_at.date()) for r in others if r.recorded_at})
+    lacking = "that has" if conditions.reference is None else "of which the library has"
+    return (
+        f"{len(others)} recordings of the library {library.name!r} are of another day "
+        f"({', '.join(days) or 'not known'}; this one: {at.date() if at else 'not known'}), {lacking} no reference "
+        f"grasp. So the stall counts less: it may differ by {REFERENCE_STALL_SD:.0%} from day to day. Name a recording "
+        "with empty jaws of that day with --reference; on a live tool, take a reference grasp first."
+    )
+
+
 def _find_remedy(reason: str, tool: Tool) -> str:
     remedy = next(text for beginning, text in _REMEDIES.items() if reason.startswith(beginning))
     calibration = tool.calibration
     return remedy.format(
-        stretch=calibration.encoder_deg_per_volt,
+        stretch=tool.stretch_deg_per_volt,
         range_v=tool.channels.analog_range_v,
         rest_v=calibration.rest_offset_v,
         rise_v=tool.contact.force_rise_v,
+        kinematics="[geometry] and `handle_per_encoder`" if tool.geometry else "[kinematics]",
     )
 
 

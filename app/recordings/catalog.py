@@ -1,4 +1,4 @@
-"""The catalog of recordings that can be replayed."""
+"""The class RecordingCatalog: the recordings that can be replayed, with their summaries."""
 
 import asyncio
 import stat
@@ -51,8 +51,8 @@ def open_recording(path: Path, tool: Tool) -> RecordingSource:
         raise RecordingError(str(error).replace(str(path), path.name)) from None
 
 
-def read_files(send: SendMessage, files: list[_CatalogFile], tool: Tool) -> None:
-    """Read files one after the other; send each with its summary."""
+def send_file_summaries(send: SendMessage, files: list[_CatalogFile], tool: Tool) -> None:
+    """Read files one after the other, in a background process; `send` a pair of file and summary for each."""
     for file in files:
         try:
             send((file, _read_file(file.path, tool)))
@@ -77,7 +77,7 @@ class RecordingCatalog:
 
     def __init__(self, plan: ServicePlan) -> None:
         self._plan = plan
-        self._opened_recordings = _assign_names(plan.opened_recordings)
+        self._opened_recordings = assign_names(plan.opened_recordings)
         self._summaries: dict[_CatalogFile, _FileSummary] = {}
         self._read_task: asyncio.Task[None] | None = None
 
@@ -131,7 +131,7 @@ class RecordingCatalog:
 
         try:
             await run_in_background_process(
-                "shelf", read_files, unread, self._plan.recording_tool, on_message=keep, advice=RETRY_ADVICE
+                "shelf", send_file_summaries, unread, self._plan.recording_tool, on_message=keep, advice=RETRY_ADVICE
             )
         except GraspwatchError as error:  # it died of the first file without a summary; the others are read next time
             broken = [file for file in unread if file not in self._summaries]
@@ -156,8 +156,8 @@ class RecordingCatalog:
         )
 
 
-def _assign_names(paths: tuple[Path, ...]) -> dict[str, Path]:
-    """Return files by their names, with a number where names are equal."""
+def assign_names(paths: tuple[Path, ...]) -> dict[str, Path]:
+    """Return the files by name; equal names get a number."""
     named: dict[str, Path] = {}
     for path in dict.fromkeys(path.resolve() for path in paths):
         name = to_printable(path.name)

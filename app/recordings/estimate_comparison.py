@@ -1,4 +1,4 @@
-"""Comparison of a replay's estimates with the recorded ones, and of both configurations."""
+"""The class EstimateComparator, which compares a replay's estimates with the recorded ones, and both configurations."""
 
 import json
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Repair of recordings that were cut off: they keep everything up to the last whole chunk, and get a summary."""
+"""Functions that repair recordings that were cut off: they keep all up to the last whole chunk, and get a summary."""
 
 import fcntl
 import logging
@@ -21,7 +21,7 @@ TEMPORARY_SUFFIX = ".mending"
 
 
 def recover_folder(folder: Path) -> Iterator[Path]:
-    """Repair every file of a folder that was cut off; log and leave those that cannot be repaired."""
+    """Repair every cut-off file of a folder, and yield its path; log and leave those that cannot be repaired."""
     for leftover in folder.glob(f"*{TEMPORARY_SUFFIX}"):
         leftover.unlink(missing_ok=True)
     for path in sorted(folder.glob("*.mcap")):
@@ -33,7 +33,7 @@ def recover_folder(folder: Path) -> Iterator[Path]:
 
 
 def recover_file(path: Path) -> bool:
-    """Replace one file by its repaired copy; return False if it is complete or still being written.
+    """Replace one cut-off file by its repaired copy; return False if it is complete or still being written.
 
     Raises:
         RecordingError: it is no recording of Graspwatch, or is damaged.

@@ -1,4 +1,4 @@
-"""Recording of a run without a service, by the process that also acquires and estimates."""
+"""The class HeadlessRecorder: records a run without a service, in the process that also acquires and estimates."""
 
 import contextlib
 import time
@@ -21,7 +21,7 @@ from app.recordings.mcap_writer import RECORDING_SUFFIX, McapRunWriter, Recordin
 from app.recordings.topics import RUN_TOPIC, encode_message, find_topic
 from app.stream.alarms import AlarmManager
 from app.stream.event_translator import EventTranslator
-from config.errors import RecordingError
+from config.errors import RecordingError, ServiceError, build_write_error
 from config.schema import GraspProtocol
 from estimator.estimate_block import EstimateBlock, GraspRecord, SpotVerdict
 
@@ -29,7 +29,7 @@ FLUSH_SAMPLES = 1_000
 
 
 def create_run(run_id: str, protocol: str, cycles: int, tissue: str | None) -> Run:
-    """Return the description of a run that begins now."""
+    """Return the record of a run that begins now; nothing is started."""
     return Run(
         id=run_id,
         protocol=protocol,
@@ -85,7 +85,7 @@ class HeadlessRecorder:
     def __enter__(self) -> Self:
         if self._path.suffix != RECORDING_SUFFIX:
             raise RecordingError(f"{self._path}: the name of a recording ends with {RECORDING_SUFFIX}.")
-        check_run_name(self.run.id, "Name the file otherwise.")
+        check_run_name(self._path.stem, "Name the file otherwise.")
         if self._path.exists():
             raise RecordingError(f"{self._path}: exists already, and is kept. Name another file.")
         if not self._path.parent.is_dir():
@@ -101,7 +101,7 @@ class HeadlessRecorder:
         if error and self._discard_on_error:
             file.abandon()
             self._path.unlink(missing_ok=True)
-        elif isinstance(error, RecordingError):  # no room: the part already written is readable
+        elif isinstance(error, RecordingError | ServiceError):  # no room: the part already written is readable
             file.abandon()
         else:
             with self._explain_disk_errors():
@@ -111,7 +111,8 @@ class HeadlessRecorder:
         """Write a block and its estimates.
 
         Raises:
-            RecordingError: the disk is full or gone.
+            ServiceError: the disk is full.
+            RecordingError: the disk is gone.
         """
         if self._file is None:
             self._first_tick = int(block.samples["tick"][0])
@@ -185,10 +186,9 @@ class HeadlessRecorder:
 
     @contextlib.contextmanager
     def _explain_disk_errors(self) -> Iterator[None]:
-        """Convert disk errors to RecordingErrors with a text for the user."""
+        """Convert disk errors to a RecordingError, or on a full disk a ServiceError, with a text for the user."""
         try:
             yield
         except OSError as error:
-            raise RecordingError(
-                f"{self._path}: cannot be written ({error.strerror}). Make room, or name another file."
-            ) from None
+            text = f"{self._path}: cannot be written ({error.strerror}). Make room, or name another file."
+            raise build_write_error(text, error, RecordingError) from None

@@ -1,4 +1,4 @@
-"""Readers of recordings for the index of runs."""
+"""Functions that read recordings for the index of runs."""
 
 from collections.abc import Iterator
 from datetime import UTC, datetime

@@ -1,4 +1,4 @@
-"""The recorder's decisions: one file a run, with the samples right before and after it."""
+"""The class Recorder, which writes one file a run, with the samples right before and after it."""
 
 import contextlib
 import time
@@ -88,7 +88,7 @@ class Recorder:
         self._flush_if_due()
 
     def add_estimates(self, estimated: PublishedEstimates) -> None:
-        """Add a block's estimates, which mostly come before it; in a backlog the order is arbitrary."""
+        """Add a block's estimates, which mostly come before its samples; in a backlog the order is arbitrary."""
         self._recent_estimates.append(estimated)
         if self.file and estimated.sequence <= self._last_sequence:
             self._write_estimates(estimated)
@@ -168,6 +168,8 @@ class Recorder:
             about |= {"cycles": str(known.cycles), "tissue": known.tissue or "", "by": known.by or ""}
             about["protocol"] = GraspProtocol.model_validate_json(known.protocol).name
             attachments[mcap_layout.PROTOCOL_ATTACHMENT] = known.protocol.encode()
+            if known.reference:
+                attachments[mcap_layout.REFERENCE_ATTACHMENT] = known.reference.encode()
         path = self._find_unused_path(block.run)
         if path.stem != block.run:
             about["continues"] = block.run

@@ -1,10 +1,10 @@
 """The recorder worker: the process that writes the bus's samples, estimates and messages, run by run."""
 
-import gc
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import zmq
 
@@ -12,7 +12,7 @@ from acquisition import bus
 from acquisition.notices import (
     Notice,
     RecorderStatus,
-    RecordingFinished,
+    RecordingFileComplete,
     RecordingRecovered,
     RecordingStopped,
     RunEnded,
@@ -24,6 +24,7 @@ from app.messages.runs import RunState
 from app.recordings.file_repair import recover_folder
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.recorder import Recorder, RecordingStoppedError
+from config.schema import Tool
 from estimator.estimate_messages import unpack_estimate_rows
 
 POLL_MS = 100
@@ -40,12 +41,14 @@ class RecorderSetup:
     recording_context: RecordingContext
     realtime_priority: bool  # real-time, as the server's
 
+    def with_tool(self, tool: Tool) -> Self:
+        return replace(self, recording_context=replace(self.recording_context, tool=tool))
+
 
 def main(setup: RecorderSetup) -> None:
     """Run until a signal; first repair the files that a previous recorder left cut off."""
     with begin_worker("recorder", setup.parent_pid, setup.endpoints.recorder) as life:
         limit_memory()
-        gc.freeze()  # otherwise collecting all modules at exit delays the notice of a failure by 0.5 s
         sources = bus.open_subscriber(
             life.context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events
         )
@@ -110,7 +113,7 @@ class _RecorderWorker:
         """Publish the recorder's state, which is also its sign of life."""
         self._last_status_s = time.monotonic()
         for path in self._recorder.finished_files:
-            self._publish_notice(RecordingFinished(path.name))
+            self._publish_notice(RecordingFileComplete(path.name))
         self._recorder.finished_files.clear()
         file = self._recorder.file
         self._publish_notice(

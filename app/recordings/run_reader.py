@@ -1,4 +1,4 @@
-"""Reader of one recorded run: samples, estimates, grasps, messages."""
+"""The function that reads one recorded run: samples, estimates, grasps, messages."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,14 +7,14 @@ import numpy as np
 
 from acquisition.recordings import mcap_layout
 from acquisition.recordings.mcap_reader import JsonMessage, McapFile, RowBlock, concatenate_rows
-from acquisition.sample_block import field_names
+from acquisition.sample_block import dtype_field_names
 from app.messages.grasps import Grasp, GraspEnded
 from app.messages.runs import Run
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.topics import GRASP_TOPIC, RUN_TOPIC, decode_message
 from config.errors import RecordingError
 from estimator.estimate_block import blank_estimates, estimate_dtype
-from estimator.estimate_rows import estimate_columns, from_estimate_columns
+from estimator.estimate_rows import estimate_columns, estimates_from_columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class RecordedRun:
 
 
 def read_run(path: Path) -> RecordedRun:
-    """Read a run's file.
+    """Read a run's recording file into memory.
 
     Raises:
         RecordingError: it is no recording of a run, or is damaged.
@@ -66,13 +66,13 @@ def read_run(path: Path) -> RecordedRun:
             raise RecordingError(f"{path}: holds no samples; it was cut off before the first second.")
         raw, conditioned, estimated = (concatenate_rows(pieces) for pieces in rows.values())
         whole = min(len(raw), len(conditioned))  # a file that was cut off may have lost one before the other
-        samples = mcap_layout.from_columns(
+        samples = mcap_layout.samples_from_columns(
             {name: values[:whole] for name, values in raw.columns.items()},
             {name: values[:whole] for name, values in conditioned.columns.items()},
         )
         estimates = _align_estimates(
             samples,
-            from_estimate_columns(estimated.columns, list(context.library.tissues)),
+            estimates_from_columns(estimated.columns, list(context.library.tissues)),
             len(context.library.tissues),
         )
     except (KeyError, ValueError) as error:
@@ -93,6 +93,6 @@ def _align_estimates(samples: np.ndarray, estimates: np.ndarray, tissues: int) -
 def build_run_columns(run: RecordedRun) -> dict[str, np.ndarray]:
     """Return all columns by name, each of shape (n,): time, signals, estimates; SI units, in the names."""
     columns: dict[str, np.ndarray] = {"time_s": run.time_s, "utc_ns": run.log_ns}
-    columns |= {name: run.samples[name] for name in field_names(run.samples.dtype)}
+    columns |= {name: run.samples[name] for name in dtype_field_names(run.samples.dtype)}
     estimated = estimate_columns(run.estimates, list(run.recording_context.library.tissues))
     return columns | {name.replace(".", "_"): values for name, values in estimated.items() if name != "tick"}

@@ -1,4 +1,4 @@
-"""Arming and disarming the tool, and faults that stay latched until a person acknowledges them."""
+"""The class ArmingController: arms and disarms the tool; faults stay latched until a person acknowledges them."""
 
 import asyncio
 from collections.abc import Callable
@@ -11,6 +11,7 @@ from app.service.commander import ANSWER_TIMEOUT_S, Commander
 from app.service.supervisor import Supervisor
 from app.stream.alarms import AlarmManager
 from config.errors import RefusedError
+from config.schema import Tool
 from estimator.force_alarms import Priority
 
 FAULT_ALARM_KEY = "fault"
@@ -24,8 +25,14 @@ class ArmingController:
     """The server's copy of the acquisition's safety state, which keeps a fault when that worker dies."""
 
     def __init__(
-        self, commander: Commander, alarms: AlarmManager, supervisor: Supervisor, publish_event: Callable[..., None]
+        self,
+        tool: Tool,
+        commander: Commander,
+        alarms: AlarmManager,
+        supervisor: Supervisor,
+        publish_event: Callable[..., None],
     ) -> None:
+        self._has_motor = tool.has_motor
         self._commander, self._alarms, self._supervisor = commander, alarms, supervisor
         self._publish_event = publish_event
         self._safety_changed = asyncio.Event()
@@ -51,12 +58,19 @@ class ArmingController:
         if self.safety is Safety.FAULTED:
             why = self.why
             self._raise_fault_alarm()  # the dead worker may have lost the acknowledgment
-        elif self.safety not in MONITORED_STATES:
+        elif self.safety not in MONITORED_STATES or not self._has_motor:
             self.safety, why = Safety.DISARMED, ""
         else:
             self.safety, self.why = Safety.FAULTED, why
             self._raise_fault_alarm()
         self._supervisor.set_initial_fault(why)
+        self._safety_changed.set()
+
+    def on_worker_replacement(self) -> None:
+        """The next acquisition worker begins disarmed, or with the fault that is latched."""
+        if self.safety is not Safety.FAULTED:
+            self.safety, self.why = Safety.DISARMED, ""
+        self._supervisor.set_initial_fault(self.why)
         self._safety_changed.set()
 
     async def arm(self, by: str | None, unmeasured_scale_reason: str = "") -> None:
@@ -68,8 +82,10 @@ class ArmingController:
             RefusedError: the tool cannot be armed; the text says why and what to do.
             ServiceError: the acquisition does not answer.
         """
+        if not self._has_motor:
+            raise RefusedError("The tool has no motor: nothing needs to be armed.")
         if not self._supervisor.has_safety_monitor:
-            raise RefusedError("The guard, who zeroes the motor of a hung tool, does not run: see the alarms.")
+            raise RefusedError("The safety monitor, which zeroes a hung tool's motor, does not run: see the alarms.")
         await self._commander.send(bus.ArmCommand(unmeasured_scale_reason))
         try:
             async with asyncio.timeout(SELF_TEST_TIMEOUT_S):

@@ -1,4 +1,4 @@
-"""Receipt of sample blocks and estimates: in order, counted, and passed on to the parts that need them."""
+"""The class BlockReceiver: receives sample blocks and estimates in order, counts them, and passes them on."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Listening to the workers' sockets in the event loop."""
+"""The class BusListener, which listens to the workers' sockets in the event loop."""
 
 import asyncio
 from collections.abc import Callable

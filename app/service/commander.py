@@ -1,4 +1,4 @@
-"""Sending of commands to the acquisition worker, and waiting for its answers."""
+"""The class Commander, which sends commands to the acquisition worker and waits for its answers."""
 
 import asyncio
 import time

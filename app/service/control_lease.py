@@ -1,4 +1,4 @@
-"""Control of the tool: a lease that one operator at a time holds."""
+"""The class ControlLease: control of the tool, which one operator at a time holds."""
 
 import time
 from collections.abc import Callable

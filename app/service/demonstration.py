@@ -1,4 +1,4 @@
-"""The demonstration of `make run`: each tissue, an unknown one and too strong a grasp, in turn."""
+"""The function that plays the demonstration of `make run`: each tissue, an unknown one and too strong a grasp."""
 
 import asyncio
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from config.load import load_grasp_protocol
 from config.schema import TissueLibrary
 
 NORMAL_PROTOCOL, STRONG_PROTOCOL = "trapezoid_2hz", "strong_2hz"
-GRASPS_PER_SCENE = 2
+GRASPS_PER_SCENE = 3  # a spot becomes sure with its second and third grasp
 OUT_OF_LIBRARY_TISSUE = "fibrotic_liver"
 PAUSE_S = 1.5
 
@@ -43,7 +43,7 @@ def build_scenes(library: TissueLibrary) -> list[DemoScene]:
     ]
 
 
-async def run_demo(tool_service: ToolService) -> None:
+async def play_demonstration(tool_service: ToolService) -> None:
     """Play the scenes in turn until a person takes over, a run fails or the task is canceled."""
     for scene in cycle(build_scenes(tool_service.plan.library)):
         await asyncio.sleep(PAUSE_S)

@@ -1,4 +1,4 @@
-"""The service's check of its journal: when the service starts, and on request."""
+"""The class JournalWatch, which checks the service's journal when the service starts, and on request."""
 
 import asyncio
 import time

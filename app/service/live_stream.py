@@ -1,4 +1,6 @@
-"""What live viewers see: samples aligned with their estimates as frames, and messages about grasps."""
+"""The class LiveStream, which sends viewers frames of samples with their estimates, and messages about grasps."""
+
+import math
 
 from pydantic import BaseModel
 
@@ -28,6 +30,7 @@ class LiveStream:
         self._frame_buffer = FrameBuffer(int(plan.settings.server.history_s * self._sample_rate_hz))
         self._aligner = SampleAligner(self._frame_buffer, self.tissues)
         self._translator = self._make_translator()
+        self._set_fit(dict.fromkeys(plan.library.tissues))
 
     @property
     def identification(self) -> Identification | None:
@@ -39,7 +42,13 @@ class LiveStream:
 
     def add_estimates(self, block: EstimateBlock) -> None:
         self._aligner.add_estimates(block)
+        self._set_fit(block.identification.nis)
         self._translator.process(block, now_ms(), monotonic_to_wall_ms(block.t_mono_ns))
+
+    def _set_fit(self, nis: dict[str, float | None]) -> None:
+        """Set the metric of each filter's fit; NaN without an estimate."""
+        for tissue, value in nis.items():
+            self._metrics.filter_nis.labels(tissue).set(math.nan if value is None else value)
 
     def send_frames(self) -> None:
         """Send the samples since the last call to the viewers."""

@@ -1,4 +1,4 @@
-"""The Prometheus metrics that an administrator watches (`GET /metrics`)."""
+"""The class Metrics: the Prometheus metrics of a service (`GET /metrics`)."""
 
 from collections.abc import Iterable
 
@@ -50,6 +50,12 @@ class Metrics:
             "graspwatch_missing_blocks", "Blocks lost between the workers, by receiver", ["receiver"], registry=registry
         )
         self.grasps = Counter("graspwatch_grasps", "Finished grasps, by label", ["label"], registry=registry)
+        self.filter_nis = Gauge(
+            "graspwatch_filter_nis",
+            "Normalized innovation squared of each tissue's filter, 1 where it follows the grasp; NaN: no estimate",
+            ["tissue"],
+            registry=registry,
+        )
         self.index_dropped_messages = Gauge(
             "graspwatch_index_left_out", "Messages that the index lacks until it is rebuilt", registry=registry
         )

@@ -1,11 +1,11 @@
-"""The reset of a board whose worker died: it brings the motor to zero."""
+"""The function that resets a board whose worker died, which brings the motor to zero."""
 
 import asyncio
 from collections.abc import Callable
 
 from acquisition.drivers.nidaq import reset_device
 from config.errors import ToolError
-from config.schema import Tool, ToolKind
+from config.schema import Tool
 
 RESET_TIMEOUT_S = 3.0
 RESET_RETRY_S = 0.05
@@ -16,7 +16,7 @@ async def zero_motor(tool: Tool, on_fault: Callable[[str | None], None]) -> None
 
     `on_fault` receives each error, or None once the motor is at zero.
     """
-    if tool.kind is not ToolKind.NIDAQ:
+    if not tool.has_real_motor:
         return
     try:
         async with asyncio.timeout(RESET_TIMEOUT_S):

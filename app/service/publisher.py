@@ -1,4 +1,4 @@
-"""The way out of the server: messages to viewers, recorder and index, and events to the journal."""
+"""The class Publisher, which sends the server's messages to viewers, recorder and index, and events to the journal."""
 
 import zmq
 from pydantic import BaseModel

@@ -1,9 +1,9 @@
-"""What the recorder tells: which file it writes, which it finished, and why it stopped."""
+"""The class RecorderLink, which follows the recorder's notices: files written and completed, and why it stopped."""
 
 import asyncio
 from pathlib import Path
 
-from acquisition.notices import Notice, RecorderStatus, RecordingFinished, RecordingRecovered, RecordingStopped
+from acquisition.notices import Notice, RecorderStatus, RecordingFileComplete, RecordingRecovered, RecordingStopped
 from app.messages.live import RECORDER_OFF, RecordingState
 from app.messages.recordings import FileRecord
 from app.recordings.index_reader import read_file_record
@@ -25,7 +25,7 @@ class RecorderLink:
         match notice:
             case RecorderStatus():
                 self._update_state(notice)
-            case RecordingFinished():
+            case RecordingFileComplete():
                 self._index_file(self._recordings_folder / notice.file)
             case RecordingRecovered():
                 self._publisher.publish_event(f"The recording {notice.file} had been cut off, and was made whole")

@@ -1,11 +1,12 @@
-"""The life of a run: start, stop and end."""
+"""The class RunController: starts runs, stops the motor on request, and records how each run ended."""
 
 import contextlib
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 
 from acquisition import bus
 from acquisition.notices import RunMetadata
-from acquisition.recordings.file_names import DEMO_ID_PREFIX
+from acquisition.recordings.file_names import DEMO_ID_PREFIX, REFERENCE_ID_PREFIX
 from acquisition.safety_state_machine import Safety
 from app.host.logs import LogContext
 from app.messages.journal import JournalKind
@@ -13,6 +14,7 @@ from app.messages.runs import Run, RunState
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
 from app.service.publisher import Publisher
+from app.service.reference_grasps import ReferenceGrasps
 from app.service.runs import RunRegistry, RunUnderWayError
 from app.service.sample_monitor import SampleMonitor
 from app.service.state_reporter import StateReporter
@@ -35,12 +37,13 @@ class RunController:
         arming: ArmingController,
         runs: RunRegistry,
         sample_monitor: SampleMonitor,
+        references: ReferenceGrasps,
         state: StateReporter,
         log_context: LogContext,
     ) -> None:
         self._plan, self._publisher, self._commander, self._supervisor = plan, publisher, commander, supervisor
         self._arming, self._runs, self._sample_monitor, self._state = arming, runs, sample_monitor, state
-        self._log_context = log_context
+        self._references, self._log_context = references, log_context
         self._shutting_down = False
         self._stop_count = 0
 
@@ -63,19 +66,27 @@ class RunController:
         """
         self._arming.check_no_fault()
         stops = self._stop_count
-        if self._arming.safety is not Safety.ARMED and self._plan.settings.safety.arm_with_start:
+        is_unarmed = self._plan.tool.has_motor and self._arming.safety is not Safety.ARMED
+        if is_unarmed and self._plan.settings.safety.arm_with_start:
             await self._arming.arm(by, unmeasured_scale_reason)
         self._check_can_start(unmeasured_scale_reason)
         prefix = DEMO_ID_PREFIX if self._runs.demo_text else ""
+        if protocol.is_reference_grasp:
+            prefix, tissue = REFERENCE_ID_PREFIX, None
         # refuses every other start from here on
         run = self._runs.begin(protocol.name, cycles, tissue, by, self._sample_monitor.last_tick, prefix)
         self._log_context.run = run.id
-        self._publisher.announce_run(RunMetadata(run.id, protocol.model_dump_json(), cycles, tissue, by))
+        reference = None if protocol.is_reference_grasp else self._references.find_valid()
+        announced = RunMetadata(run.id, protocol.model_dump_json(), cycles, tissue, by)
+        if reference:
+            announced = replace(announced, reference=reference.model_dump_json())
+        self._publisher.announce_run(announced)
         await self._send_start(bus.StartCommand(run.id, protocol.model_dump_json(), cycles, tissue))
         self._publisher.record(run)
         self._runs.simulated_tissue = tissue or self._runs.simulated_tissue
         held = f", {build_graspable_library(self._plan.library).tissues[tissue].title.lower()}" if tissue else ""
-        text = f"Run started: {protocol.title}, {cycles} grasps{held}"
+        grasps = f", {cycles} grasps" if self._plan.tool.has_motor else ""
+        text = f"Run started: {protocol.title}{grasps}{held}"
         self._publisher.publish_event(text, JournalKind.RUN, by, run)
         if self._stop_count != stops:  # the acquisition may have received the stop before the start
             await self.stop("it was stopped while it began")
@@ -126,7 +137,8 @@ class RunController:
         if effect and current:
             self.end(current.id, RunState.STOPPED, why)
         by = await find_requester() if find_requester else None
-        self._publisher.publish_event(f"Stopped: the motor is at zero ({why})", JournalKind.RUN, by)
+        at_zero = ": the motor is at zero" if self._plan.tool.has_motor else ""
+        self._publisher.publish_event(f"Stopped{at_zero} ({why})", JournalKind.RUN, by)
         return effect
 
     async def begin_spot(self, by: str | None) -> Run:
@@ -151,12 +163,13 @@ class RunController:
                 await self.stop("the service was ended")
 
     def end(self, run_id: str, state: RunState, why: str) -> None:
-        """Enter the end of a run, if it is the one under way."""
+        """Mark a run as ended in `state`, if it is the one under way."""
         if not self._runs.end(run_id, state, why):
             return
         ended = self._runs.get(run_id)
         if ended:
             self._publisher.record(ended)
+            self._references.on_run_end(ended)
         self._publisher.publish_event(f"Run {state.value}: {why}", JournalKind.RUN, run=ended)
         self._log_context.run = None
         if state is not RunState.FINISHED:
@@ -168,13 +181,14 @@ class RunController:
         if self._runs.current:
             self.end(self._runs.current.id, RunState.FAILED, why)
 
-    def fail_interrupted_runs(self) -> None:
-        """Mark runs that a killed service left open as failed.
 
-        If another service uses the same index, the runs may belong to it and stay open.
-        """
-        store = self._publisher.index_writer.store
-        for run in store.find_unfinished_runs() if store.is_first_user else []:
-            why = "the service was ended from outside during the run"
-            run = run.model_copy(update={"state": RunState.FAILED, "why": why})
-            self._publisher.journal.write(JournalKind.RUN, f"Run {run.id} failed: {why}", run=run)
+def fail_interrupted_runs(publisher: Publisher) -> None:
+    """Mark runs that a killed service left open as failed.
+
+    If another service uses the same index, the runs may belong to it and stay open.
+    """
+    store = publisher.index_writer.store
+    for run in store.find_unfinished_runs() if store.had_no_other_user else []:
+        why = "the service was ended from outside during the run"
+        run = run.model_copy(update={"state": RunState.FAILED, "why": why})
+        publisher.journal.write(JournalKind.RUN, f"Run {run.id} failed: {why}", run=run)

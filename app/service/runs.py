@@ -1,4 +1,4 @@
-"""The registry of runs: the run under way, earlier runs, the grasps of each, and the demonstration they belong to."""
+"""The class RunRegistry: the run under way, earlier runs, the grasps of each, and the demonstration they belong to."""
 
 import secrets
 from dataclasses import dataclass, field
@@ -65,7 +65,7 @@ class RunRegistry:
     def begin(
         self, protocol: str, cycles: int, tissue: str | None, by: str | None, start_tick: int, prefix: str = ""
     ) -> Run:
-        """Begin a run and return it. Its grasps begin at `start_tick` or later; its id begins with `prefix`."""
+        """Register a new run and return it. Its grasps begin at `start_tick` or later; its id begins with `prefix`."""
         self._run_count += 1
         now = datetime.now(UTC)
         run = Run(
@@ -93,7 +93,7 @@ class RunRegistry:
             self.current_id = None
 
     def end(self, run_id: str, state: RunState, why: str) -> bool:
-        """End a run; return False if it is not the one under way."""
+        """Mark a run as ended in `state`; return False if it is not the one under way."""
         if run_id != self.current_id:
             return False
         entry = self._entries[run_id]

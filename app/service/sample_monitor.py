@@ -1,4 +1,4 @@
-"""Figures of the stream of samples: rate, losses, lateness, latency, and the limit in force."""
+"""The class SampleMonitor: rate, losses, lateness and latency of the samples, and the limit in force."""
 
 import time
 from collections import deque

@@ -1,4 +1,4 @@
-"""The server's signs of life to the acquisition."""
+"""The function that sends the server's signs of life to the acquisition."""
 
 import asyncio
 import time

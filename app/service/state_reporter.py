@@ -1,4 +1,4 @@
-"""The service's state in one message, its phase, and its metrics."""
+"""The class StateReporter, which builds the service's state message, and reports the service's phase and metrics."""
 
 from dataclasses import dataclass
 
@@ -10,6 +10,7 @@ from app.service.control_lease import ControlLease
 from app.service.metrics import Metrics
 from app.service.publisher import Publisher
 from app.service.recorder_link import RecorderLink
+from app.service.reference_grasps import ReferenceGrasps
 from app.service.runs import RunRegistry
 from app.service.sample_monitor import SampleMonitor
 from app.service.supervisor import Supervisor
@@ -35,6 +36,7 @@ class StateReporter:
     sample_monitor: SampleMonitor
     recorder_link: RecorderLink
     checks: ConditionChecks
+    references: ReferenceGrasps
     metrics: Metrics
     is_replay: bool
 
@@ -60,6 +62,7 @@ class StateReporter:
             estimator_latency_ms=self.sample_monitor.estimate_latency_ms,
             viewers=len(self.publisher.viewer_hub.viewers),
             recording=self.recorder_link.state,
+            reference=self.references.build_state(),
             free_disk_bytes=self.checks.free_disk_bytes,
             faults=self.publisher.alarms.technical_alarm_texts(),
             event_number=self.publisher.viewer_hub.newest_event_number,

@@ -1,4 +1,4 @@
-"""The watch over the server's own tasks: none may end unnoticed."""
+"""The class TaskWatch, which watches the server's own tasks: none may end unnoticed."""
 
 import asyncio
 import logging

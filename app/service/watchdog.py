@@ -1,18 +1,18 @@
-"""The watchdog: raises a technical alarm while a worker is silent, and kills a worker that hangs."""
+"""The class Watchdog: raises a technical alarm while a worker is silent, and kills a worker that hangs."""
 
 import time
 from collections.abc import Callable
 
 from app.service.supervisor import Supervisor
-from app.service.workers import WorkerCondition
+from app.service.workers import WorkerCondition, display_worker_name
 from app.stream.alarms import AlarmManager
 from estimator.force_alarms import Priority
 
-SILENCE_ALARM_S = 0.4
+SILENCE_ALARM_S = 0.35  # the alarm is promised within 0.5 s
 HUNG_TIMEOUT_S = 2.0  # a worker silent for longer is killed and replaced
 RECORDER_HUNG_TIMEOUT_S = 10.0  # longer, because a disk may be slow
 SAFETY_MONITOR_HUNG_TIMEOUT_S = 2.0
-MAX_BLOCKED_S = 60.0
+MAX_KEPT_FROM_RUNNING_S = 60.0
 """Time that a worker may be stopped or swapped out before it is killed: the bus keeps a minute of blocks for it."""
 
 
@@ -30,8 +30,9 @@ class Watchdog:
         self._last_heard_s = {"acquisition": 0.0, "estimator": 0.0, "recorder": 0.0, "guard": 0.0}
         self._own_delay_s = 0.0  # total time in which this process could not listen
         self._last_check_s = time.monotonic()
-        self._blocked_s: dict[str, float] = {}  # by worker: part of its present silence in which it could not run
+        self._kept_from_running_s: dict[str, float] = {}  # by worker: part of its silence
         self._sampling_since_s = self._estimating_since_s = 0.0
+        self._waiting_heard_s, self._waiting_why = 0.0, ""  # of an acquisition that waits for its device
         self.is_sampling = False
 
     def _listening_time_s(self) -> float:
@@ -39,12 +40,24 @@ class Watchdog:
 
     def feed(self, worker: str) -> None:
         self._last_heard_s[worker] = self._listening_time_s()
-        self._blocked_s.pop(worker, None)
+        self._kept_from_running_s.pop(worker, None)
+
+    def on_waiting_for_samples(self, why: str) -> None:
+        """Take note that the acquisition runs, but its device gives no samples; `why` says what to do."""
+        self._waiting_heard_s, self._waiting_why = self._listening_time_s(), why
+        self._kept_from_running_s.pop("acquisition", None)
+
+    def forget(self, worker: str) -> None:
+        """Expect nothing of a worker that is replaced until the new one sends its first message."""
+        self._last_heard_s[worker] = 0.0
+        self._kept_from_running_s.pop(worker, None)
+        if worker == "acquisition":
+            self._waiting_heard_s = 0.0
 
     def on_estimator_started(self) -> None:
         """Start the estimator's silence anew, so that a new process does not inherit its predecessor's."""
         self._estimating_since_s = self._listening_time_s()
-        self._blocked_s.pop("estimator", None)
+        self._kept_from_running_s.pop("estimator", None)
 
     def check(self, own_delay_s: float = 0.0) -> None:
         """Raise an alarm for each silent worker, end the alarms of the others, and kill workers that hang.
@@ -59,12 +72,14 @@ class Watchdog:
         if not before:
             self._sampling_since_s = now  # before, the estimator had no samples to answer
         silent_s = {
-            "acquisition": now - self._last_heard_s["acquisition"],
+            "acquisition": now - max(self._last_heard_s["acquisition"], self._waiting_heard_s),
             "estimator": now - max(self._last_heard_s["estimator"], self._sampling_since_s, self._estimating_since_s),
         }
         estimating = now - self._last_heard_s["estimator"] < SILENCE_ALARM_S
-        if self._last_heard_s["acquisition"] and not self.is_sampling:
-            self._alarms.raise_technical("samples", Priority.HIGH, "No samples arrive from the tool")
+        if (self._last_heard_s["acquisition"] or self._waiting_heard_s) and not self.is_sampling:
+            is_waiting = now - self._waiting_heard_s < SILENCE_ALARM_S
+            why = f": {self._waiting_why}" if is_waiting and self._waiting_why else ""
+            self._alarms.raise_technical("samples", Priority.HIGH, f"No samples arrive from the tool{why}")
         elif self.is_sampling and alive["acquisition"]:
             self._alarms.end("samples")
             self._alarms.end("acquisition")
@@ -90,14 +105,15 @@ class Watchdog:
         if now - heard_s < SILENCE_ALARM_S:
             self._alarms.end(name)
             return
-        self._alarms.raise_technical(name, Priority.MEDIUM, f"The {name} does not answer: {consequence}")
+        text = f"The {display_worker_name(name)} does not answer: {consequence}"
+        self._alarms.raise_technical(name, Priority.MEDIUM, text)
         self._kill_if_hung(name, now - heard_s, hung_s, since_last_s)
 
     def _kill_if_hung(self, name: str, silent_s: float, hung_s: float, since_last_s: float) -> None:
-        """Kill a worker that was silent for `hung_s` while it could run; a blocked worker gets MAX_BLOCKED_S more."""
-        unable_s = self._blocked_s.get(name, 0.0)
-        if unable_s < MAX_BLOCKED_S and self._supervisor.is_blocked(name):
-            unable_s = self._blocked_s[name] = unable_s + since_last_s
+        """Kill a worker that was silent for `hung_s` while it could run, or much longer while it could not."""
+        unable_s = self._kept_from_running_s.get(name, 0.0)
+        if unable_s < MAX_KEPT_FROM_RUNNING_S and self._supervisor.is_kept_from_running(name):
+            unable_s = self._kept_from_running_s[name] = unable_s + since_last_s
         if silent_s - unable_s > hung_s:
-            self._publish_event(f"The {name} worker does not answer: it is ended and replaced")
+            self._publish_event(f"The {display_worker_name(name)} worker does not answer: it is ended and replaced")
             self._supervisor.kill(name)

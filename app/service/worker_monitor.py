@@ -1,4 +1,4 @@
-"""What the workers tell of themselves, and their deaths: alarms, ended runs, and what may start next."""
+"""The class WorkerMonitor, which handles the workers' notices and deaths: alarms, ended runs, what may start next."""
 
 from acquisition import bus
 from acquisition.notices import (
@@ -14,6 +14,7 @@ from acquisition.notices import (
     Notice,
     RecorderStatus,
     RunEnded,
+    WaitingForSamples,
 )
 from app.messages.alarms import AlarmKind
 from app.messages.runs import RunState
@@ -52,14 +53,14 @@ class WorkerMonitor:
         self.realtime: dict[str, str] = {}  # scheduling that the system granted each process
 
     def on_acquisition(self, parts: list[bytes]) -> None:
-        """Receive a message of the acquisition."""
+        """Handle a notice or a sample block of the acquisition."""
         if parts[0] == bus.NOTICE_TOPIC:
             self._on_notice(bus.unpack_notice(parts))
         else:
             self._receiver.on_samples(parts)
 
     def on_estimator(self, parts: list[bytes]) -> None:
-        """Receive a message of the estimator."""
+        """Handle a notice or a block of estimates of the estimator."""
         if parts[0] == bus.NOTICE_TOPIC:
             self._on_notice(bus.unpack_notice(parts))
         else:
@@ -86,6 +87,10 @@ class WorkerMonitor:
                 self._alarms.raise_technical("acquisition", Priority.HIGH, notice.text)
             case AcquisitionStalled():
                 self._publisher.publish_event(notice.text)
+            case WaitingForSamples():
+                self._watchdog.on_waiting_for_samples(notice.why)
+                if not self._supervisor.mark_running("acquisition"):
+                    return  # it comes many times a second
             case GraspReleased():
                 self._alarms.raise_latched("let-go", AlarmKind.FORCE, notice.text)
             case RunEnded():
@@ -93,7 +98,7 @@ class WorkerMonitor:
         self._state.publish()
 
     def on_recorder(self, parts: list[bytes]) -> None:
-        """Receive a message of the recorder."""
+        """Handle a notice of the recorder."""
         self._watchdog.feed("recorder")
         self._supervisor.mark_running("recorder")
         before = self._recorder_link.state.file
@@ -105,7 +110,7 @@ class WorkerMonitor:
             self._state.publish()
 
     def on_safety_monitor(self, parts: list[bytes]) -> None:
-        """Receive a message of the safety monitor."""
+        """Handle a notice of the safety monitor."""
         self._watchdog.feed("guard")
         self._supervisor.mark_running("guard")
         notice = bus.unpack_notice(parts)
@@ -119,7 +124,7 @@ class WorkerMonitor:
                 self.on_motor_fault(notice.text)
 
     def on_foxglove(self, parts: list[bytes]) -> None:
-        """Receive a sign of life of the Foxglove server."""
+        """Handle a sign of life of the Foxglove worker."""
         if self._supervisor.mark_running("foxglove"):
             self._alarms.end("foxglove")
             self._state.publish()
@@ -128,8 +133,17 @@ class WorkerMonitor:
         """Raise an alarm if the motor of a dead or silent worker cannot be brought to zero; None ends the alarm."""
         self._alarms.update_technical("motor", Priority.HIGH, fault)
 
+    def on_replacement(self, worker: str) -> None:
+        """Handle the end of a worker that is replaced on purpose."""
+        self._watchdog.forget(worker)
+        if worker != "recorder":
+            self._receiver.on_worker_death(worker)
+        if worker == "acquisition":
+            self._arming.on_worker_replacement()
+        self._state.publish()
+
     def on_death(self, worker: str, text: str) -> None:
-        """Receive the death of a worker; `text` is the supervisor's account of it."""
+        """Handle the death of a worker: alarm, end of the run; `text` is the supervisor's account of it."""
         self._metrics.worker_deaths.labels(worker).inc()
         if worker == "recorder":
             self._recorder_link.on_worker_death(text)

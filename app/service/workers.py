@@ -1,25 +1,25 @@
-"""The worker processes of a service: what each is started with, and how it stands."""
+"""The class Worker, and the function that builds a service's workers: what each is started with, and its condition."""
 
 import os
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from multiprocessing.synchronize import Event
 from typing import Any
 
 from acquisition import worker as acquisition_worker
 from acquisition.bus import Endpoints
 from acquisition.safety import safety_monitor
-from acquisition.worker_process import ProcessActivity
+from acquisition.worker_process import ProcessSnapshot
 from app.recordings import recorder_worker
 from app.recordings.mcap_writer import RecordingContext
-from config.schema import ToolKind
 from config.service_plan import ServicePlan
 from estimator import worker as estimator_worker
 
 MAX_RESTARTS_PER_MINUTE = 3
+DISPLAY_NAMES = {"guard": "safety monitor"}  # "guard" is its key in the REST interface and the metrics
 START_ORDER = ("recorder", "guard", "estimator", "acquisition", "foxglove")
 
 
@@ -31,8 +31,15 @@ class WorkerCondition(StrEnum):
     FAULTED = "faulted"
 
 
+def display_worker_name(name: str) -> str:
+    """Return the name of a worker in messages to people."""
+    return DISPLAY_NAMES.get(name, name)
+
+
 @dataclass(slots=True)
 class Worker:
+    """One worker process: its key, what it is started with, and its present state."""
+
     name: str
     main: Callable[[Any], None]
     setup: Any
@@ -40,11 +47,12 @@ class Worker:
     condition: WorkerCondition = WorkerCondition.STARTING
     has_run: bool = False
     hung_process: BaseProcess | None = None
-    activity: ProcessActivity | None = None
+    replaced_process: BaseProcess | None = None  # ended on purpose; its death is no fault
+    activity: ProcessSnapshot | None = None
     death_times_s: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_RESTARTS_PER_MINUTE + 1))
 
 
-def build_workers(plan: ServicePlan, endpoints: Endpoints, tool_may_open: Event) -> dict[str, Worker]:
+def build_workers(plan: ServicePlan, endpoints: Endpoints, tool_may_open: Connection) -> dict[str, Worker]:
     """Return the workers that a plan needs, by name; none is started yet."""
     acquisition = acquisition_worker.AcquisitionSetup(
         os.getpid(),
@@ -69,7 +77,7 @@ def build_workers(plan: ServicePlan, endpoints: Endpoints, tool_may_open: Event)
         "estimator": Worker("estimator", estimator_worker.main, estimator),
         "recorder": Worker("recorder", recorder_worker.main, recorder),
     }
-    if plan.tool.kind is ToolKind.NIDAQ:  # a simulated tool's motor ends with its worker
+    if plan.tool.has_real_motor:  # a simulated tool's motor ends with its worker
         setup = safety_monitor.SafetyMonitorSetup(os.getpid(), endpoints, plan.tool, plan.settings.realtime)
         workers["guard"] = Worker("guard", safety_monitor.main, setup)
     if plan.settings.foxglove.port:

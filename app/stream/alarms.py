@@ -1,4 +1,4 @@
-"""The alarms that are on: raised, changed, acknowledged and ended here, and published and journaled at once."""
+"""The class AlarmManager: raises, changes, acknowledges and ends alarms, and publishes and journals this at once."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Translation of estimate blocks into messages: identification, withdrawn names, force alarms, finished grasps."""
+"""The class EventTranslator: publishes identifications, withdrawn names, force alarms, grasps from estimate blocks."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,7 @@ IDENTIFICATION_RATE_HZ = 10.0
 
 
 class EventTranslator:
-    """Translator of one source's estimate blocks."""
+    """Translator of one source's estimate blocks into messages, which it publishes."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class EventTranslator:
             self._force_warnings[-1:] = [max(self._force_warnings[-1], priority, key=PRIORITY_RANK.__getitem__)]
 
     def _end_grasp(self, record: GraspRecord) -> None:
-        self._on_grasp(Grasp.from_record(record, self._force_warnings, held_back=self._held_back))
+        self._on_grasp(Grasp.from_record(record, self._force_warnings))
         self._force_warnings, self._rising, self._held_back = [], False, False
 
     def _title(self, label: str) -> str:

@@ -1,23 +1,23 @@
-"""Sample frames for browsers: float32 columns at the full rate, cut thirty times a second."""
+"""The class FrameBuffer, and functions that build sample frames: float32 columns at full rate, 30 frames a second."""
 
 from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.signal_table import SIGNALS, sort_by_number
+from acquisition.signal_table import SIGNALS, list_numbered_names
 from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, ChannelInfo, FrameKind
 
 
 class FrameColumn(NamedTuple):
-    """Unit and meaning of a column."""
+    """Unit and meaning of one column of a sample frame."""
 
     unit: str
     meaning: str
 
 
 _BY_NAME = {signal.name: FrameColumn(signal.unit, signal.meaning) for signal in SIGNALS}
-_ORDER = sort_by_number("frame", ((signal.frame, signal.name) for signal in SIGNALS))
+_ORDER = list_numbered_names("frame", ((signal.frame, signal.name) for signal in SIGNALS))
 SAMPLE_COLUMNS = {name: _BY_NAME[name] for name in _ORDER}
 ESTIMATE_COLUMNS = {
     "threshold_n": FrameColumn("N", "Injury threshold in force, for the force alarms"),
@@ -29,6 +29,7 @@ TISSUE_COLUMNS = {
     "alpha_n": FrameColumn("N", "Estimated stiffness α"),
     "beta_per_m": FrameColumn("1/m", "Estimated stiffening β"),
     "damping_kg_per_s": FrameColumn("kg/s", "Estimated damping d"),
+    "nis": FrameColumn("", "Fit of the filter: its normalized innovation squared, 1 where it fits"),
 }
 SD_COLUMNS = {
     "log_alpha_sd": FrameColumn("", "Standard deviation of log α"),
@@ -80,7 +81,7 @@ class FrameBuffer:
         self._newest_ms = newest_ms
 
     def cut_frames(self) -> list[bytes]:
-        """Return frames of the columns since the last cut: one, or several around missing ticks."""
+        """Return packed frames of the columns since the last cut: one, or several around missing ticks."""
         joined, self._pending = _join_consecutive(self._pending), []
         for first_tick, columns in joined:
             if self._history and first_tick < self._history[-1][0]:  # a new source counts from zero again

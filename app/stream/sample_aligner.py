@@ -1,4 +1,4 @@
-"""Alignment of samples and their estimates, in whichever order they arrive."""
+"""The class SampleAligner, which aligns samples and their estimates, in whichever order they arrive."""
 
 import time
 from collections import deque

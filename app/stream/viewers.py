@@ -1,4 +1,4 @@
-"""Viewers of `/api/live` and of replays, each with its own queues, so that a slow one does not delay the others."""
+"""The classes Viewer, with queues of its own so that it delays no other, and ViewerHub, for all of the live stream."""
 
 import asyncio
 from collections import deque
@@ -117,7 +117,9 @@ class Viewer:
 
 
 class ViewerHub:
-    """All viewers of the live stream, and the newest events: log lines, changes of alarms, and ended grasps.
+    """Hub of the live stream: sends messages to all viewers, and numbers and keeps the newest events.
+
+    Events are log lines, changes of alarms, and ended grasps.
 
     Events are numbered. The numbers of a service begin at the time of its start in milliseconds, so they are greater
     than all numbers of an earlier service.
@@ -140,7 +142,7 @@ class ViewerHub:
             viewer.send(text)
 
     def list_events_after(self, number: int) -> list[EventMessage | Alarm | GraspEnded] | None:
-        """Return the events after `number`; None if not all of them are kept, or there was no such event."""
+        """Return the events numbered after `number`; None if not all of them are kept, or there was no such event."""
         missed = self.newest_event_number - number
         return list(self._events)[len(self._events) - missed :] if 0 <= missed <= len(self._events) else None
 

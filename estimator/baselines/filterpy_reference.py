@@ -1,4 +1,4 @@
-"""The same bank on filterpy: a slow, independent reference for the compiled bank.
+"""The classes of the same bank on filterpy: a slow, independent reference for the compiled bank.
 
 Both share only the constants, the order of the states and the start of a grasp. The reference discretizes the whole
 linearized system with scipy's matrix exponential and uses filterpy's filter equations.
@@ -24,7 +24,6 @@ from estimator.constants import (
     NIS_MEMORY,
     RISE_MEAN_SAMPLES,
     RISE_SPAN_SAMPLES,
-    SECOND_PASS_AT,
     SURPRISE_MIN_SAMPLES,
 )
 from estimator.evidence import BankEvidence
@@ -43,7 +42,7 @@ from estimator.kalman_filter import (
     FilterNoise,
     V,
     X,
-    find_most_likely,
+    find_likeliest_filter,
 )
 
 # further states of the augmented system: strain noise of the next sample, force between the samples, constant
@@ -161,6 +160,7 @@ class ReferenceBank:
             for k in range(len(started.state.mean))
         ]
         self._initial_filters = deepcopy(self.filters)
+        self._second_pass_at = [tuning.second_pass_at for tuning in started.tunings for _ in range(tissues)]
 
     def advance(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Process `samples`, (n, 5); return means and variances of all filters, (n, K, 9) each; NaN once diverged."""
@@ -172,7 +172,7 @@ class ReferenceBank:
             for k, one in enumerate(self.filters):
                 if one.is_healthy:
                     one.process_sample(self.processed_samples[-2], sample, self.rising_flags[-1])
-                if one.is_healthy and len(self.processed_samples) in SECOND_PASS_AT:
+                if one.is_healthy and len(self.processed_samples) in self._second_pass_at[k]:
                     one = self.filters[k] = self._repeat_pass(k)
                 if one.is_healthy:
                     means[i, k], variances[i, k] = one.x[:, 0], np.diag(one.P)
@@ -214,7 +214,9 @@ class FilterpyBank(FilterBank):
                 state.fit_statistics[k], state.valid[k] = one.fit_statistics, one.is_healthy
             state.samples_taken[0] += 1
             if state.samples_taken[0] > SURPRISE_MIN_SAMPLES:
-                best = find_most_likely(len(state.mean) - tissues, len(state.mean), state.fit_statistics, state.valid)
+                best = find_likeliest_filter(
+                    len(state.mean) - tissues, len(state.mean), state.fit_statistics, state.valid
+                )
                 misfit = state.fit_statistics[best, NIS_RECENT] if best >= 0 else NIS_DIVERGED
                 state.surprise[0] = max(state.surprise[0], misfit)
         return mean, variance

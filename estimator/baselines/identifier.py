@@ -1,4 +1,4 @@
-"""The interface that the bank and its baselines share, and the bank with this interface."""
+"""The interface TissueIdentifier, which the bank and its baselines share, and the bank with this interface."""
 
 from typing import Protocol
 
@@ -11,7 +11,7 @@ from estimator.kalman_filter import PARAMETERS
 
 
 class TissueIdentifier(Protocol):
-    """Estimator of one grasp's tissue, from contact on."""
+    """Interface of the estimators that studies compare: each identifies the tissue of one grasp, from contact on."""
 
     def start(self, first: np.void, contact: ContactStart) -> None:
         """Begin at the first sample in contact (dtype SAMPLE)."""
@@ -55,5 +55,5 @@ class BankIdentifier:
         return self._evidence.probabilities()
 
     def log_parameters(self) -> np.ndarray:
-        best = self.bank.find_most_likely()
+        best = self.bank.find_likeliest_filter()
         return self.bank.state.mean[best, PARAMETERS].copy() if best >= 0 else np.full(3, np.nan)

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.compilation import compiled
 from config.schema import IdentificationSettings, TissueLibrary, Tool
-from estimator.compilation import compiled
 from estimator.constants import EXPONENT_LIMIT
 from estimator.criteria import convergence_samples
 from estimator.filter_bank import ContactStart, TissuePriors
-from estimator.tissue_model import elastic_force, force_curve, step_matrices, tangent_stiffness
+from estimator.tissue_model import elastic_force, elastic_force_array, step_matrices, tangent_stiffness
 
 STATE_COUNT = 5
 X, V, ALPHA, BETA, DAMPING = range(STATE_COUNT)
@@ -81,7 +81,7 @@ class PaperFilterBank:
             self.valid,
             means,
         )
-        return means, force_curve(means[:, :, ALPHA], means[:, :, BETA], means[:, :, X])
+        return means, elastic_force_array(means[:, :, ALPHA], means[:, :, BETA], means[:, :, X])
 
 
 @compiled

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from acquisition.compilation import compiled
 from config.schema import IdentificationSettings, TissueLibrary, Tool
-from estimator.compilation import compiled
 from estimator.constants import VELOCITY_SD_M_PER_S
 from estimator.filter_bank import ContactStart, FilterTuning, TissuePriors, bank_columns, build_filter_tunings
 from estimator.kalman_filter import DISPLACEMENT, ELAPSED_S, FORCE, METRE_PER_VOLT, NEWTON_PER_VOLT, FilterNoise

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
+from acquisition.compilation import compiled
 from config.schema import IdentificationSettings, TissueLibrary, Tool
 from estimator.baselines.identifier import BankIdentifier
-from estimator.compilation import compiled
 from estimator.constants import NIS_MEMORY
 from estimator.evidence import BankEvidence
 from estimator.filter_bank import FilterBank, TissuePriors, build_filter_tunings

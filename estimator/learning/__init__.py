@@ -1,1 +1,1 @@
-"""Learn tissue libraries from labeled recordings: mathematics only; `app.analysis.learning` reads and writes files."""
+"""Functions that learn tissue libraries from labeled recordings; `app.analysis.learning` reads and writes files."""

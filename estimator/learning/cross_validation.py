@@ -1,4 +1,4 @@
-"""Cross-validate a learned library: accuracy, speed and calibration on grasps that it was not learned from.
+"""Functions that test learned libraries on grasps that they were not learned from: accuracy, speed, calibration.
 
 Three questions, from hard to easy. *Another recording*: each recording in turn is left out, if its tissue has another
 one. *Another tissue*: each tissue is left out as a whole, and its grasps should be unknown. *Later grasps*: one half
@@ -58,8 +58,8 @@ def folds(recordings: Sequence[LabeledRecording]) -> Iterator[Fold]:
             yield Fold("another recording", rest, [(left, left.label, _all_positions(left))])
     for label in labels if len(labels) > 2 else []:
         rest = [each for each in recordings if each.label != label]
-        strangers = [(each, UNKNOWN, _all_positions(each)) for each in recordings if each.label == label]
-        yield Fold("another tissue", rest, strangers)
+        left_out = [(each, UNKNOWN, _all_positions(each)) for each in recordings if each.label == label]
+        yield Fold("another tissue", rest, left_out)
     for late in (False, True):
         halves = [_select_half(each, late=late) for each in recordings]
         asked = [
@@ -106,7 +106,7 @@ def cross_validate(
 
 
 class FoldEvaluator:
-    """Answers of a library for recordings that it was not learned from."""
+    """Evaluator of one fold: it applies the fold's library to grasps that the library was not learned from."""
 
     def __init__(self, library: TissueLibrary, tool: Tool, settings: IdentificationSettings) -> None:
         self._evidence, self._settings = LearnedEvidence(library, tool, settings), settings
@@ -119,6 +119,7 @@ class FoldEvaluator:
     ) -> Iterator[ValidationAnswer]:
         """Yield the answers for the grasps of a recording at these positions."""
         shut_deg = None
+        self._evidence.use_conditions(recording.conditions)
         self.spot = LearnedSpot(self._evidence)
         for i, grasp in enumerate(recording.grasps):
             learned = self._evidence.start_grasp(shut_deg, first=i == 0)

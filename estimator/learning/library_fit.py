@@ -1,4 +1,4 @@
-"""Fit a tissue library to the loading curves of labeled recordings."""
+"""Functions that fit a tissue library to the loading curves of labeled recordings."""
 
 import math
 from collections.abc import Sequence
@@ -190,6 +190,8 @@ def _build_recording(curves: LoadingCurves, centre: np.ndarray) -> LearnedRecord
         left_out=tuple(curves.left_out),
         ramp_v_per_s=_round_significant(math.exp(curves.ramp_log)),
         centre=tuple(_round_significant(value) for value in centre),
+        recorded_at=curves.recording.conditions.recorded_at,
+        reference=curves.recording.conditions.reference,
     )
 
 

@@ -1,4 +1,4 @@
-"""Fit alpha, beta and d of a recorded grasp to its whole loading at once.
+"""Functions that fit alpha, beta and d of a recorded grasp to its whole loading at once.
 
 Real tissue differs too much from the filters' equation to follow it sample by sample from a wide prior. So the
 parameters for the filters' priors come from a least-squares fit of Eq. (7) without inertia. The drag of cable and
@@ -103,7 +103,7 @@ def _compute_residuals(
 
 def measure_thickness_m(samples: np.ndarray, tool: Tool) -> float | None:
     """Return the gap between the jaws at first contact, m; None without sensed contact, or if tissue fills the jaws."""
-    opening_m = tool.geometry.opening_m
+    opening_m = tool.opening_m
     sensed = np.flatnonzero(samples["flags"] & CONTACT_SENSED)
     if opening_m is None or not len(sensed):
         return None

@@ -1,16 +1,17 @@
-"""Recorded grasps for learning, and the reasons why some are left out."""
+"""Classes of recorded grasps for learning, with the reasons why some are left out, and of their loading curves."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from acquisition.sample_block import SampleFlag
-from config.schema import Tool
+from config.schema import UNKNOWN_CONDITIONS, SourceConditions, Tool
 from estimator.loading.constants import FEATURES, MEAN_SAMPLES, MIN_PEAK_SHARE
-from estimator.loading.loading_curve import LoadingCurve
+from estimator.loading.loading_curve import LoadingCurve, find_travel_scale
 
+IN_GRASP = SampleFlag.IN_GRASP.value
 ENCODER_SLIPS, SATURATED = SampleFlag.ENCODER_SLIPS.value, SampleFlag.SATURATED.value
 
 
@@ -50,6 +51,7 @@ class LabeledRecording:
     file: str
     sha256: str
     grasps: tuple[RecordedGrasp, ...]
+    conditions: SourceConditions = UNKNOWN_CONDITIONS
 
 
 @dataclass(slots=True)
@@ -65,6 +67,12 @@ class LoadingCurves:
     left_out: list[str] = field(default_factory=list)  # other grasps, with the reason
 
 
+def split_grasps(samples: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the index, from 1, and the samples of each grasp in a recording's samples, dtype SAMPLE."""
+    for index in range(1, int(samples["grasp"].max(initial=0)) + 1):
+        yield index, samples[(samples["grasp"] == index) & ((samples["flags"] & IN_GRASP) != 0)]
+
+
 def estimate_usual_peak_v(recordings: Sequence[LabeledRecording]) -> float:
     """Return the peak strain voltage that grasps of all recordings reach, V, to a millivolt; NaN without usable grasps.
 
@@ -78,10 +86,12 @@ def estimate_usual_peak_v(recordings: Sequence[LabeledRecording]) -> float:
 
 def extract_loading_curves(recording: LabeledRecording, tool: Tool, peak_v: float) -> LoadingCurves:
     """Return the features of each usable grasp. The first grasp is left out: its tissue is not preconditioned."""
-    dt_s, stretch = 1.0 / tool.board.sample_rate_hz, tool.calibration.encoder_deg_per_volt
+    dt_s, stretch, scale = 1.0 / tool.board.sample_rate_hz, tool.stretch_deg_per_volt, find_travel_scale(tool)
     features, ramps, kept, left_out = [], [], [], []
     for position, grasp in enumerate(recording.grasps):
-        loading = LoadingCurve(stretch, peak_v, dt_s, first=position == 0)
+        loading = LoadingCurve(
+            stretch, peak_v, dt_s, first=position == 0, travel_scale=scale, hand_driven=tool.hand_driven is not None
+        )
         loading.append(grasp.samples)
         seen = loading.observe_features()
         why = grasp.find_fault() or ("first grasp: the tissue is not preconditioned" if position == 0 else None)

@@ -1,4 +1,4 @@
-"""Leave whole recordings out: answers for grasps and spots of recordings that the library was not learned from.
+"""The function that leaves whole recordings out, and asks the library learned from the others about them.
 
 Everything is refitted inside each fold, the usual peak of the force and the spread between spots included.
 """

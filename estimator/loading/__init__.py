@@ -1,1 +1,1 @@
-"""Compute the probabilities of a learned library from a grasp's loading curve."""
+"""Probabilities of a learned library's tissues, computed from a grasp's loading curve."""

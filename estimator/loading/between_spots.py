@@ -1,4 +1,4 @@
-"""Predict the features of grasps on another spot of a tissue, and of a tissue that is not in the library.
+"""The class SpotCenters, which predicts features on another spot of a tissue, and of a tissue not in the library.
 
 The centers of spots are a Gaussian process over tissue and log ramp. Tissues differ widely. Another ramp changes all
 tissues alike, and each a little by itself. Each spot has its own deviation, whose spread is learned feature by feature

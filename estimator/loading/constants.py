@@ -18,6 +18,7 @@ YIELD_SHARES = (0.2, 0.5)  # shares of the usual peak force: time between them
 STALLED_SAMPLES = 30  # samples without a higher force after which the drive has stalled and the loading is over
 LOADING_LIMIT_SAMPLES = 60_000  # a minute; a longer loading adds no information
 LOADING_START_SHARE = 0.05  # share of the usual peak force over the lowest: the jaws meet something
+SHUT_TRAVEL_DEG = 134.0  # of the Smart Tool's encoder, through its opening of 10 mm, Eq. (6); the unit of other travels
 RAMP_STEP_LOG = 0.1  # resolution of ramps
 RAMP_SHARE = 0.9  # share of the command's maximum so far up to which the ramp's rate is measured
 
@@ -59,6 +60,14 @@ CLOSURE_STEP_DEG = 4.0  # step of the jaw closure angle for the features' sensit
 # How well the previous grasp predicts the jaw closure angle: probability and SD, degrees. Mostly it held the same
 # tissue; another one may be thicker by 17 degrees.
 PREVIOUS_CLOSURE_MIXTURE = ((0.8, 2.5), (0.2, 12.0))
+# SD of log stall between two days that no reference grasps link. It is assumed: drive and cable change with age,
+# temperature and the tool's assembly, and no recordings of two days exist.
+REFERENCE_STALL_SD = 0.03
+MIN_REFERENCE_GRASPS = 3  # for a median and a scatter
+# Share of the stall to which the force of empty jaws may rise up to 5 degrees before closure: drag is about 0.02 with a
+# ramp of 1 s; the tissues of 2013 reach 0.08 to 0.31 there.
+EMPTY_FORCE_SHARE = 0.06
+REFERENCE_SMOOTHING_S = 0.05  # a twentieth of the ramp: the noise of single samples would bias the slope
 FIRST_GRASP_SCALE = 1.0  # times BETWEEN_SD: the first grasp on a spot differs, because the tissue is not preconditioned
 
 # --- parameters of the filters ----------------------------------------------------------------------------------------

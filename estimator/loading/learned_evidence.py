@@ -1,30 +1,32 @@
-"""Compute a probability for each tissue of a learned library and for `unknown` from a loading curve."""
+"""The class LearnedEvidence: probabilities of a learned library's tissues and of `unknown`, from loading curves."""
 
 import math
 
 import numpy as np
 
-from config.schema import IdentificationSettings, TissueLibrary, Tool
+from config.schema import UNKNOWN_CONDITIONS, IdentificationSettings, SourceConditions, TissueLibrary, Tool
 from estimator.loading.between_spots import SpotCenters, SpotPrediction, correlate_features
 from estimator.loading.constants import BETWEEN_SD, FIRST_GRASP_SCALE, PREVIOUS_CLOSURE_MIXTURE
-from estimator.loading.loading_curve import LoadingCurve, ObservedFeatures
+from estimator.loading.day_comparison import align_centers
+from estimator.loading.loading_curve import LoadingCurve, ObservedFeatures, find_travel_scale
 
 
 class LearnedEvidence:
     """Probabilities of a learned library's M tissues in its order, then of `unknown`, from loading curves."""
 
-    def __init__(self, library: TissueLibrary, tool: Tool, settings: IdentificationSettings) -> None:
+    def __init__(
+        self,
+        library: TissueLibrary,
+        tool: Tool,
+        settings: IdentificationSettings,
+        conditions: SourceConditions = UNKNOWN_CONDITIONS,
+    ) -> None:
+        """`conditions`: those of the grasps that are judged; by default nothing is known of their day."""
         learned = library.learned
         if learned is None:
             raise ValueError("the library was not learned")
-        rows = [(i, r) for i, t in enumerate(library.tissues.values()) if t.learned for r in t.learned.recordings]
-        self._centers = SpotCenters(
-            tissue_indices=np.array([i for i, _ in rows]),
-            log_ramps=np.log([r.ramp_v_per_s for _, r in rows]),
-            centers=np.array([r.centre for _, r in rows]),
-            spot_sd=np.array(learned.spot_sd),
-            pairs=learned.spot_pairs,
-        )
+        self._library, self._learned = library, learned
+        self.use_conditions(conditions)
         self._grasp_covariances = [
             np.array(t.learned.loading_covariance) for t in library.tissues.values() if t.learned
         ]
@@ -33,8 +35,22 @@ class LearnedEvidence:
         known = (1.0 - unknown) / len(self._grasp_covariances)
         self._log_prior = np.log([known] * len(self._grasp_covariances) + [unknown])
         self._peak_v = learned.usual_peak_v
-        self._stretch_deg_per_volt = tool.calibration.encoder_deg_per_volt
-        self._dt_s = 1.0 / tool.board.sample_rate_hz
+        self._stretch_deg_per_volt = tool.stretch_deg_per_volt
+        self._dt_s, self._travel_scale = 1.0 / tool.board.sample_rate_hz, find_travel_scale(tool)
+        self._is_hand_driven = tool.hand_driven is not None
+
+    def use_conditions(self, conditions: SourceConditions) -> None:
+        """Judge from now on grasps that were recorded under other conditions."""
+        tissues = self._library.tissues.values()
+        rows = [(i, r) for i, t in enumerate(tissues) if t.learned for r in t.learned.recordings]
+        centers, self._day_variance = align_centers(conditions, [r for _, r in rows])
+        self._centers = SpotCenters(
+            tissue_indices=np.array([i for i, _ in rows]),
+            log_ramps=np.log([r.ramp_v_per_s for _, r in rows]),
+            centers=centers,
+            spot_sd=np.array(self._learned.spot_sd),
+            pairs=self._learned.spot_pairs,
+        )
 
     def start_grasp(self, previous_closure_deg: float | None, *, first: bool) -> "LearnedGrasp":
         """Return the estimator of a new grasp.
@@ -42,12 +58,20 @@ class LearnedEvidence:
         `previous_closure_deg` is the jaw closure angle of the previous grasp, None if not known; `first` marks the
         first grasp on a spot.
         """
-        loading = LoadingCurve(self._stretch_deg_per_volt, self._peak_v, self._dt_s, previous_closure_deg, first=first)
+        loading = LoadingCurve(
+            self._stretch_deg_per_volt,
+            self._peak_v,
+            self._dt_s,
+            previous_closure_deg,
+            first=first,
+            travel_scale=self._travel_scale,
+            hand_driven=self._is_hand_driven,
+        )
         return LearnedGrasp(self, loading, first=first)
 
     @property
     def prior(self) -> np.ndarray:
-        """Prior probabilities, (M + 1,)."""
+        """Prior probabilities of the tissues and of `unknown`, (M + 1,)."""
         return np.exp(self._log_prior)
 
     @property
@@ -57,14 +81,16 @@ class LearnedEvidence:
 
     def predict_features(self, ramp_log: float, *, first: bool) -> list[SpotPrediction]:
         """Return the distribution of the features on a new spot at a ramp, for each tissue and for `unknown`."""
-        freedom, first_grasp = self._centers.degrees_of_freedom, self._first_grasp_covariance if first else 0.0
+        freedom, added = self._centers.degrees_of_freedom, np.diag(self._day_variance)
+        if first:
+            added = added + self._first_grasp_covariance
         centers = [self._centers.predict_center(i, ramp_log) for i in range(len(self._grasp_covariances))]
         tissues = [
-            SpotPrediction(mean, cov + first_grasp, within, freedom)
+            SpotPrediction(mean, cov + added, within, freedom)
             for (mean, cov), within in zip(centers, self._grasp_covariances, strict=True)
         ]
         mean, cov, freedom = self._centers.predict_other_tissue(np.array([mean for mean, _ in centers]))
-        return [*tissues, SpotPrediction(mean, cov + first_grasp, self.grasp_covariance, freedom)]
+        return [*tissues, SpotPrediction(mean, cov + added, self.grasp_covariance, freedom)]
 
     def compute_posterior(
         self, observed: ObservedFeatures, predictions: list[SpotPrediction], grasps: float = 1.0
@@ -103,12 +129,12 @@ class LearnedGrasp:
 
     @property
     def prior(self) -> np.ndarray:
-        """Probabilities before the grasp, (M + 1,)."""
+        """Probabilities of the tissues and of `unknown` before the grasp, (M + 1,)."""
         return self._evidence.prior
 
     @property
     def probabilities(self) -> np.ndarray:
-        """Probabilities so far, (M + 1,)."""
+        """Probabilities of the tissues and of `unknown` by the loading curve so far, (M + 1,)."""
         return self.prior if self._probabilities is None else self._probabilities
 
     def process(self, samples: np.ndarray) -> np.ndarray:

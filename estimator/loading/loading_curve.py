@@ -1,9 +1,12 @@
-"""One grasp's loading curve, sample by sample, and the features by which tissues differ.
+"""The class LoadingCurve: one grasp's loading curve, sample by sample, and the features by which tissues differ.
 
 Force is the strain voltage over its lowest value in the grasp, as a share of the usual peak. Travel is the encoder's
 without the cable's stretch, Eq. (3). Tissues differ in the force needed to bring the jaws within some travel of jaw
 closure. The jaw closure angle is known from the previous grasp within a few degrees, and exactly once this grasp has
 reached it.
+
+Another tool's travel is scaled so that full closure is that of the Smart Tool. Without a motor command the ramp is that
+of the travel.
 """
 
 import math
@@ -12,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.signals.calibration import compute_sensor_signals_from_jaws
+from config.schema import SmartToolKinematics, Tool
 from estimator.loading.constants import (
     CLOSURE_SHARES,
     CLOSURE_STEP_DEG,
@@ -27,6 +32,7 @@ from estimator.loading.constants import (
     OPENING_UNIT_DEG,
     RAMP_SHARE,
     RAMP_STEP_LOG,
+    SHUT_TRAVEL_DEG,
     STALLED_SAMPLES,
     TRAVEL_UNIT_DEG,
     YIELD_SHARES,
@@ -34,6 +40,17 @@ from estimator.loading.constants import (
 
 OPENING, FORCES = 0, slice(1, 1 + len(FORCE_GAPS_DEG))
 KNEE, LEAN, STALL, YIELD, GIVE = range(1 + len(FORCE_GAPS_DEG), len(FEATURES))
+
+
+def find_travel_scale(tool: Tool) -> float:
+    """Return the degrees of the Smart Tool's encoder per degree of the tool's position sensor, by full closure.
+
+    It is 1 for the Smart Tool, and for a tool whose opening is not known.
+    """
+    if isinstance(tool.kinematics, SmartToolKinematics) or tool.opening_m is None:
+        return 1.0
+    _, to_shut_deg = compute_sensor_signals_from_jaws(tool, 0.0, tool.opening_m)
+    return SHUT_TRAVEL_DEG / to_shut_deg
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +77,8 @@ class LoadingCurve:
         previous_closure_deg: float | None = None,
         *,
         first: bool = False,
+        travel_scale: float = 1.0,
+        hand_driven: bool = False,
     ) -> None:
         """Start at a grasp's first sample.
 
@@ -69,6 +88,8 @@ class LoadingCurve:
             dt_s: sampling interval.
             previous_closure_deg: corrected encoder angle of the previous jaw closure; None if not known.
             first: whether this is the source's first grasp, whose jaw opening is no feature of the tissue.
+            travel_scale: degrees of the Smart Tool's encoder per degree of this one (`find_travel_scale`).
+            hand_driven: whether there is no motor command, so that the ramp is that of the travel.
         """
         self._stretch_deg_per_volt, self._peak_v, self._previous_closure_deg, self._is_first_grasp = (
             stretch_deg_per_volt,
@@ -76,7 +97,7 @@ class LoadingCurve:
             previous_closure_deg,
             first,
         )
-        self._dt_s = dt_s
+        self._dt_s, self._travel_scale, self._is_hand_driven = dt_s, travel_scale, hand_driven
         self._last_v: deque[float] = deque(maxlen=MEAN_SAMPLES)
         self._last_deg: deque[float] = deque(maxlen=MEAN_SAMPLES)
         self._smoothed = np.empty((3, 1024))  # smoothed strain, V; smoothed corrected travel, deg; command, V
@@ -92,7 +113,7 @@ class LoadingCurve:
         for values in zip(*columns, strict=True):
             if self.ended:
                 return
-            if all(map(math.isfinite, values)):
+            if all(map(math.isfinite, values[:2] if self._is_hand_driven else values)):
                 self._append_sample(*values)
 
     def _append_sample(self, strain_v: float, encoder_deg: float, command_v: float) -> None:
@@ -102,11 +123,11 @@ class LoadingCurve:
         if self._count == self._smoothed.shape[1]:
             self._smoothed = np.concatenate([self._smoothed, np.empty_like(self._smoothed)], axis=1)
         at, self._count = self._count, self._count + 1
-        self._smoothed[:, at] = (
-            volt,
-            sum(self._last_deg) / len(self._last_deg) - self._stretch_deg_per_volt * volt,
-            command_v,
-        )
+        travel_deg = sum(self._last_deg) / len(self._last_deg) - self._stretch_deg_per_volt * volt
+        travel_deg *= self._travel_scale
+        if self._is_hand_driven:
+            command_v = travel_deg - self.start_deg if at else 0.0
+        self._smoothed[:, at] = volt, travel_deg, command_v
         if not self._is_loading and volt < self._rest_v:
             self._rest_v = self._peak_strain_v = volt
             self._peak_index = at
@@ -121,6 +142,11 @@ class LoadingCurve:
     def peak_v(self) -> float:
         """Highest smoothed strain voltage so far minus the lowest, V."""
         return self._peak_strain_v - self._rest_v if self._count else 0.0
+
+    @property
+    def start_deg(self) -> float:
+        """Corrected encoder angle of the grasp's first sample; NaN before it."""
+        return float(self._smoothed[1, 0]) if self._count else math.nan
 
     @property
     def jaw_closure_deg(self) -> float | None:
@@ -151,7 +177,7 @@ class LoadingCurve:
 
     @property
     def ramp_log(self) -> float:
-        """Natural logarithm of the command's rate in V/s up to RAMP_SHARE of its maximum; 0 before it moves."""
+        """Natural logarithm of the ramp's rate up to RAMP_SHARE of its maximum; 0 before it moves."""
         command = self._smoothed[2, : self._count]
         most = float(command.max(initial=0.0))
         after = int(np.argmax(command >= RAMP_SHARE * most)) if most > 0.0 else 0
@@ -179,7 +205,7 @@ class LoadingCurve:
         if jaw_closure_deg is None:
             return result
         if not self._is_first_grasp:
-            result[OPENING] = (jaw_closure_deg - travel[0]) / OPENING_UNIT_DEG
+            result[OPENING] = (jaw_closure_deg - self.start_deg) / OPENING_UNIT_DEG
         for i, gap_deg in enumerate(FORCE_GAPS_DEG):
             at = _find_first(travel >= jaw_closure_deg - gap_deg)
             if at is not None:

@@ -1,4 +1,4 @@
-"""Estimate centers and covariances that are robust against outlying grasps."""
+"""Functions that estimate centers and covariances, robust against outlying grasps."""
 
 from collections.abc import Sequence
 

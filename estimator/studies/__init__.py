@@ -1,1 +1,1 @@
-"""Studies: measure the estimator's accuracy, speed and calibration, each as one command."""
+"""Studies that measure the estimator's accuracy, speed and calibration, each behind one command."""

@@ -1,18 +1,24 @@
-"""Simulate one grasp, and record the live estimator's answer over the time since contact."""
+"""Conditions and cases of studies, and the function that records the live estimator's answer over time."""
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from acquisition.sample_block import SampleBlock
 from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation
 from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
 from estimator.decision import NOT_NAMED
 from estimator.estimate_block import GraspRecord
 from estimator.online_estimator import TissueEstimator
-from estimator.studies.simulated_grasps import GraspCase, SimulatedGrasp, simulate_grasp, with_noise, without_touch
+from estimator.studies.simulated_grasps import (
+    GraspCase,
+    SimulatedGrasp,
+    simulate_grasp,
+    split_into_blocks,
+    with_noise,
+    without_touch,
+)
 
 STEP_S = 0.005
 
@@ -57,7 +63,7 @@ def load_study_setup(bench: StudyConditions) -> StudySetup:
 
 @dataclass(frozen=True, slots=True)
 class ProbabilityHistory:
-    """One grasp's answer over time; row i of `probabilities` was known `times_s[i]` after contact."""
+    """The estimator's answer for one grasp over time: row i of `probabilities` was known `times_s[i]` after contact."""
 
     case: GraspCase
     times_s: np.ndarray  # (steps,)
@@ -75,14 +81,13 @@ class ProbabilityHistory:
 
 
 def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistory:
-    """Simulate a grasp and run the live estimator on it."""
+    """Simulate a grasp and run the live estimator on it; return its answer over time."""
     lab = load_study_setup(bench)
     grasp = simulate_grasp(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
     session = TissueEstimator(lab.tool, lab.library, lab.settings)
-    samples = grasp.samples
     rows, ticks, labels, record = [], [], [], None
-    for begin in range(0, len(samples), lab.tool.board.block_samples):
-        block = session.process(SampleBlock(begin, 0, 0, samples[begin : begin + lab.tool.board.block_samples]))
+    for samples in split_into_blocks(grasp.samples, lab.tool):
+        block = session.process(samples)
         found = block.identification
         if found.in_grasp and found.in_contact:
             rows.append(np.fromiter(found.probabilities.values(), float))
@@ -92,7 +97,6 @@ def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistor
         record = block.ended[0] if block.ended else record
     record = record or session.finish()
     assert record is not None, "a protocol commands a grasp"
-    material = grasp.specimen.material
     return ProbabilityHistory(
         case,
         np.array(ticks) / lab.tool.board.sample_rate_hz - (record.contact_s or 0.0) if rows else np.zeros(1),
@@ -100,7 +104,7 @@ def estimate_grasp(bench: StudyConditions, case: GraspCase) -> ProbabilityHistor
         record,
         tuple(labels),
         grasp.specimen.thickness_m,
-        np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s]),
+        grasp.specimen.log_parameters,
         grasp,
     )
 

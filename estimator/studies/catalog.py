@@ -48,6 +48,14 @@ def _run_identify(
     return run_identify_study(bench, grasps, seed, progress, jobs)
 
 
+def _run_repeated(
+    bench: "StudyConditions", spots: int, seed: int, progress: Progress, jobs: int | None
+) -> "StudyResult":
+    from estimator.studies.spot_verdicts import run_spot_verdict_study
+
+    return run_spot_verdict_study(bench, spots, seed, progress, jobs)
+
+
 def _run_unknown(
     bench: "StudyConditions", grasps: int, seed: int, progress: Progress, jobs: int | None
 ) -> "StudyResult":
@@ -105,6 +113,13 @@ _DEFINITIONS = (
         250,
         MAX_GRASPS,
         _run_identify,
+    ),
+    StudyDefinition(
+        "repeated",
+        "Three grasps on one spot: the verdict of the spot, beside what the samples allow.",
+        100,
+        MAX_GRASPS,
+        _run_repeated,
     ),
     StudyDefinition(
         "unknown",

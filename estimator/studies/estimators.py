@@ -1,4 +1,4 @@
-"""`graspwatch study estimators`: compare the bank with itself on filterpy and with three other filters."""
+"""`graspwatch study estimators`: comparison of the bank with itself on filterpy and with three other filters."""
 
 import time
 from dataclasses import asdict, dataclass
@@ -14,7 +14,8 @@ from estimator.baselines.unscented_filter import build_unscented_identifier
 from estimator.filter_bank import build_contact_start
 from estimator.studies.answer_course import StudyConditions, StudySetup, build_balanced_cases, load_study_setup
 from estimator.studies.case_runner import Progress, run_cases
-from estimator.studies.probability_scores import bayes_limit, compute_reliability, score_answers
+from estimator.studies.knowledge_limit import KnowledgeLimit, build_limit_figures, compute_case_limit, mean_limit
+from estimator.studies.probability_scores import compute_reliability, score_answers
 from estimator.studies.simulated_grasps import GraspCase, SimulatedGrasp, extract_contact_samples, simulate_grasp
 from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
 
@@ -32,7 +33,7 @@ IDENTIFIER_FACTORIES = {
 @dataclass(frozen=True, slots=True)
 class _EstimatorOutcome:
     tissue: str
-    limit: np.ndarray  # (M,)
+    limit: KnowledgeLimit
     probabilities: np.ndarray  # (estimators, len(TIMES_S), M + 1)
     error: np.ndarray  # (estimators, 3) of log alpha, log beta, log d at the last time
     cost_us: np.ndarray  # (estimators,) per sample
@@ -41,13 +42,16 @@ class _EstimatorOutcome:
 def run_estimators_study(
     bench: StudyConditions, grasps: int, seed: int, progress: Progress, jobs: int | None = None
 ) -> StudyResult:
-    """Run the study with `grasps` of each tissue, the same for all estimators, without thickness as evidence."""
+    """Run the study with `grasps` of each tissue, the same for all estimators.
+
+    `bench` must have `thickness=False`: the other estimators do not use thickness as evidence.
+    """
     library = load_study_setup(bench).library
     names = [*library.tissues]
     cases = [(bench, case) for case in build_balanced_cases(library, grasps, seed)]
     outcomes = run_cases(_evaluate_case, cases, progress, jobs)
     truth = np.array([names.index(o.tissue) for o in outcomes])
-    limit = float(np.mean([o.limit.argmax() == t for o, t in zip(outcomes, truth, strict=True)]))
+    limit = mean_limit([o.limit for o in outcomes], sensed=bench.touch)
     answers = np.array([o.probabilities for o in outcomes])  # (n, estimators, times, M + 1)
     cost = np.median([o.cost_us for o in outcomes], axis=0)
     study = StudyResult(
@@ -68,7 +72,7 @@ def run_estimators_study(
                 [
                     f"{name}, {at:g} s",
                     found.accuracy,
-                    limit,
+                    float(limit[i]),
                     found.calibration_error,
                     found.confident_wrong,
                     found.log_loss,
@@ -78,7 +82,7 @@ def run_estimators_study(
     last = [score_answers(answers[:, e, -1], truth) for e in range(len(IDENTIFIER_FACTORIES))]
     best = min(range(len(IDENTIFIER_FACTORIES)), key=lambda e: last[e].log_loss)
     study.figures = [
-        KeyFigure("Bayes limit", 100 * limit, "%", note="without thickness"),
+        *build_limit_figures([o.limit for o in outcomes], TIMES_S, TIMES_S[-1:]),
         *(
             KeyFigure(f"share right at 0.3 s: {name}", 100 * last[e].accuracy, "%", note=f"{cost[e]:.3g} µs a sample")
             for e, name in enumerate(IDENTIFIER_FACTORIES)
@@ -88,7 +92,7 @@ def run_estimators_study(
     columns = [
         "estimator, after contact",
         "share right",
-        "Bayes limit",
+        "limit",
         "calibration error",
         "confident and wrong",
         "log loss",
@@ -120,15 +124,14 @@ def _evaluate_case(job: tuple[StudyConditions, GraspCase]) -> _EstimatorOutcome:
     bench, case = job
     lab = load_study_setup(bench)
     grasp = simulate_grasp(lab.tool, lab.library, lab.settings.conditioning, lab.protocol, case)
-    material = grasp.specimen.material
-    truth = np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s])
+    truth = grasp.specimen.log_parameters
     found = [
         _run_identifier(make(lab.tool, lab.library, lab.settings.identification), lab, bench, grasp)
         for make in IDENTIFIER_FACTORIES.values()
     ]
     return _EstimatorOutcome(
         case.tissue,
-        bayes_limit(lab.library, truth, None),
+        compute_case_limit(bench, case, TIMES_S, grasp),
         np.array([probabilities for probabilities, _, _ in found]),
         np.array([log_parameters - truth for _, log_parameters, _ in found]),
         np.array([cost for _, _, cost in found]),

@@ -1,4 +1,4 @@
-"""A self-contained HTML page for studies and reports: no network, light and dark, printable on A4."""
+"""Functions that render a self-contained HTML page for studies and reports: no network, printable on A4."""
 
 import math
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Table:
 
 
 def render_template(name: str, folder: Path = TEMPLATES, **context: Any) -> str:
-    """Render a page from a template of a folder, or of this package's; all texts but `Markup` are escaped.
+    """Return a page rendered from a template of a folder, or of this package's; all texts but `Markup` are escaped.
 
     `kind` in the context names the page's generator, so that a later one knows whether it may overwrite the page.
     """

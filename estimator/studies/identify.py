@@ -7,7 +7,6 @@ import numpy as np
 import plotly.graph_objects as go
 
 from acquisition.sample_block import SampleFlag
-from config.schema import TissueLibrary
 from estimator.baselines.paper_filter import PaperIdentifier
 from estimator.decision import NOT_NAMED, UNKNOWN
 from estimator.filter_bank import (
@@ -27,13 +26,9 @@ from estimator.studies.answer_course import (
     load_study_setup,
 )
 from estimator.studies.case_runner import Progress, run_cases
+from estimator.studies.knowledge_limit import KnowledgeLimit, build_limit_figures, compute_case_limit, mean_limit
 from estimator.studies.posterior_mode import PosteriorProblem, compute_cramer_rao_bound
-from estimator.studies.probability_scores import (
-    bayes_limit,
-    compute_confusion_matrix,
-    compute_reliability,
-    score_answers,
-)
+from estimator.studies.probability_scores import compute_confusion_matrix, compute_reliability, score_answers
 from estimator.studies.simulated_grasps import GraspCase, extract_contact_samples
 from estimator.studies.study_report import PALETTE, TISSUE_COLORS, KeyFigure, StudyResult, Table
 
@@ -47,6 +42,7 @@ class _IdentifyOutcome:
     """Results of one grasp."""
 
     course: ProbabilityHistory
+    limit: KnowledgeLimit
     likelihood_product: np.ndarray  # (len(TIMES_S), M + 1): the paper's bank, plain product of innovation likelihoods
     criteria: np.ndarray  # (len(TIMES_S),) index of the guess that the paper's criteria choose
     information: np.ndarray  # (4, 4) of the grasp's samples and the tissue's spread; NaN without contact
@@ -61,21 +57,24 @@ def run_identify_study(
     outcomes = run_cases(partial(_evaluate_case, bench), build_balanced_cases(library, grasps, seed), progress, jobs)
     names = [*library.tissues]
     truth = np.array([names.index(outcome.course.case.tissue) for outcome in outcomes])
-    limit = np.array([_compute_bayes_limit(bench, library, outcome.course) for outcome in outcomes])
-    accuracy_limit = float((limit.argmax(axis=1) == truth).mean())
+    limits = [outcome.limit for outcome in outcomes]
+    accuracy_limit = mean_limit(limits, sensed=bench.touch)
     study = StudyResult(
         "identify",
         "How right, how early, how honest",
         {**asdict(bench), "grasps of each tissue": grasps, "seed": seed},
         "Each grasp holds a new specimen, drawn from the library's spreads, on the simulated grasper with its "
-        "sensors and its noise. The Bayes limit knows each specimen's exact parameters: tissues overlap, so "
-        "nobody can pass it.\n\n"
+        "sensors and its noise. The limit is what the samples allow an ideal observer, from their Fisher information "
+        "about alpha, beta and d on the same specimens. With contact sensed it includes the thickness of thin tissue; "
+        "without, the zero of the displacement is unknown. A fold's preload has the library's prior. The Bayes "
+        "limit knows each specimen's exact parameters: tissues overlap, so nobody can pass it.\n\n"
         "Plain likelihoods and the paper's criteria come from the paper's own filters on the 10 Hz signals.",
     )
     ours = {
         time: score_answers(np.array([o.course.probabilities_at(time) for o in outcomes]), truth) for time in TIMES_S
     }
-    study.figures += _build_floor_figures(bench, ours, accuracy_limit, len(outcomes))
+    study.figures += build_limit_figures(limits, TIMES_S, (0.15, 0.25, 1.0))
+    study.figures += _build_floor_figures(bench, ours, dict(zip(TIMES_S, accuracy_limit, strict=True)), len(outcomes))
     study.figures += _build_decision_figures(outcomes)
     study.parts.append(_build_accuracy_table(outcomes, ours, truth, accuracy_limit))
     study.parts.append(_build_parameter_table(study, outcomes, names, fine=bench.noise_mv <= 2.0))
@@ -121,7 +120,8 @@ def _evaluate_case(bench: StudyConditions, case: GraspCase) -> _IdentifyOutcome:
         found = course.record.alpha_n, course.record.beta_per_m, course.record.damping_kg_per_s
         if None not in found:
             error = np.log(np.array(found, float)) - course.log_parameters
-    return _IdentifyOutcome(replace(course, grasp=None), plain, criteria, information, error)
+    limit = compute_case_limit(bench, case, TIMES_S, course.grasp)
+    return _IdentifyOutcome(replace(course, grasp=None), limit, plain, criteria, information, error)
 
 
 def _information(
@@ -147,21 +147,16 @@ def _information(
     return question.compute_gradient_and_information(np.append(log_parameters, np.log(priors.mass_kg)))[1]
 
 
-def _compute_bayes_limit(bench: StudyConditions, library: TissueLibrary, course: ProbabilityHistory) -> np.ndarray:
-    known = bench.thickness and bench.touch
-    return bayes_limit(library, course.log_parameters, course.thickness_m if known else None)
-
-
-def _build_floor_figures(bench: StudyConditions, ours: dict, limit: float, count: int) -> list[KeyFigure]:
+def _build_floor_figures(bench: StudyConditions, ours: dict, limit: dict[float, float], count: int) -> list[KeyFigure]:
     """Return the figures with targets at 2 and at 5 mV of strain noise."""
-    spread = 100 * np.sqrt(limit * (1 - limit) / count)
+    spread = 100 * np.sqrt(limit[1.0] * (1 - limit[1.0]) / count)
     note = f"one standard deviation of a share from {count} grasps is {spread:.1f} points"
-    behind = {time: 100 * (limit - found.accuracy) for time, found in ours.items()}
     fine, coarse = bench.noise_mv <= 2.0, 2.0 < bench.noise_mv <= 5.0
-    figures = [KeyFigure("Bayes limit", 100 * limit, "%", note=note)]
+    figures = []
     for time, most in ((0.15, 2.0 if fine else None), (0.25, 4.0 if coarse else None), (1.0, 1.0 if fine else None)):
+        behind = 100 * (limit[time] - ours[time].accuracy)
         figures.append(
-            KeyFigure(f"behind the Bayes limit {time:g} s after contact", behind[time], "points", at_most=most)
+            KeyFigure(f"behind the limit {time:g} s after contact", behind, "points", at_most=most, note=note)
         )
     end = ours[1.0]
     return [
@@ -189,7 +184,7 @@ def _build_decision_figures(outcomes: list[_IdentifyOutcome]) -> list[KeyFigure]
     ]
 
 
-def _build_accuracy_table(outcomes: list[_IdentifyOutcome], ours: dict, truth: np.ndarray, limit: float) -> Table:
+def _build_accuracy_table(outcomes: list[_IdentifyOutcome], ours: dict, truth: np.ndarray, limit: np.ndarray) -> Table:
     rows = []
     for i, time in enumerate(TIMES_S):
         plain = score_answers(np.array([o.likelihood_product[i] for o in outcomes]), truth)
@@ -199,7 +194,7 @@ def _build_accuracy_table(outcomes: list[_IdentifyOutcome], ours: dict, truth: n
             [
                 f"{time:g} s",
                 found.accuracy,
-                limit,
+                float(limit[i]),
                 plain.accuracy,
                 by_criteria,
                 found.calibration_error,
@@ -211,7 +206,7 @@ def _build_accuracy_table(outcomes: list[_IdentifyOutcome], ours: dict, truth: n
     columns = [
         "after contact",
         OURS,
-        "Bayes limit",
+        "limit",
         LIKELIHOOD_PRODUCT,
         PAPER_CRITERIA,
         f"calibration error, {OURS}",
@@ -254,7 +249,7 @@ def _build_parameter_table(
     return Table("Parameters at the grasp's end, beside the Bayesian Cramér-Rao bound", columns, rows)
 
 
-def _plot_accuracy(outcomes: list[_IdentifyOutcome], truth: np.ndarray, limit: float) -> go.Figure:
+def _plot_accuracy(outcomes: list[_IdentifyOutcome], truth: np.ndarray, limit: np.ndarray) -> go.Figure:
     times = np.arange(0.0, 1.0 + STEP_S, 2 * STEP_S)
     ours = [float((np.array([o.course.probabilities_at(t).argmax() for o in outcomes]) == truth).mean()) for t in times]
     figure = go.Figure()
@@ -269,7 +264,7 @@ def _plot_accuracy(outcomes: list[_IdentifyOutcome], truth: np.ndarray, limit: f
     ):
         right = [float((np.array(answer) == truth).mean()) for answer in answers]
         figure.add_scatter(x=TIMES_S, y=right, name=name, mode="lines+markers", line={"color": color})
-    figure.add_hline(y=limit, line_dash="dash", annotation_text="Bayes limit")
+    figure.add_scatter(x=TIMES_S, y=limit, name="limit", mode="lines", line={"color": "#000000", "dash": "dash"})
     figure.update_layout(xaxis_title="s after contact", yaxis_title="share right", yaxis_range=[0, 1])
     return figure
 

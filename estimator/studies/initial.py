@@ -13,7 +13,7 @@ from estimator.studies.answer_course import StudyConditions, load_study_setup
 from estimator.studies.case_runner import Progress, run_cases
 from estimator.studies.simulated_grasps import GraspCase, extract_contact_samples, simulate_grasp
 from estimator.studies.study_report import KeyFigure, StudyResult, Table
-from estimator.tissue_model import force_curve
+from estimator.tissue_model import elastic_force_array
 
 FACTORS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 MAX_CONVERGENCE_S = 0.3
@@ -123,11 +123,11 @@ def _run_filter_fan(job: _Job, guess: np.ndarray, samples: np.ndarray) -> np.nda
     elastic_n = np.full(len(columns), np.nan)
     for begin in range(0, len(columns), STEP_SAMPLES):
         mean, _ = bank.advance(columns[begin : begin + STEP_SAMPLES])
-        best = bank.find_most_likely()
+        best = bank.find_likeliest_filter()
         if best >= 0:
             own = mean[:, best % len(names)]
             parameters = np.exp(own[:, PARAMETERS])
-            elastic_n[begin : begin + STEP_SAMPLES] = force_curve(parameters[:, 0], parameters[:, 1], own[:, X])
+            elastic_n[begin : begin + STEP_SAMPLES] = elastic_force_array(parameters[:, 0], parameters[:, 1], own[:, X])
     return elastic_n
 
 

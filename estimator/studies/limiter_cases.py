@@ -1,4 +1,4 @@
-"""The cases of the limiter's study: at random within the stated bounds, and beyond them one property at a time."""
+"""Functions for the cases of the limiter's study: random within the stated bounds, or one property beyond them."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum

@@ -1,4 +1,4 @@
-"""Measures of the limiter's study. Forces are the true ones at the jaws, not those from the strain gage."""
+"""Functions that measure a case of the limiter's study by the true forces at the jaws, not the strain gage's."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Simulate grasps with the acquisition in the loop: the command depends on the measured force, as in a run."""
+"""Functions that simulate grasps with the acquisition in the loop: the command depends on the force, as in a run."""
 
 from collections import deque
 from dataclasses import dataclass

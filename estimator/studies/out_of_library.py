@@ -1,18 +1,20 @@
-"""Things outside the library that the studies grasp, and deviations of the truth from the model."""
+"""Constants for studies: things outside the library to grasp, and deviations of the truth from the model."""
 
 from acquisition.simulation.tissue import ModelDeviation
 from config.load import load_library
 
-OUT_OF_LIBRARY = load_library("strangers")
+OUT_OF_LIBRARY = load_library("out_of_library")
 
 FOAM_DEVIATION = ModelDeviation(plateau_n=0.6, plateau_m=4e-4)
 DEVIATION_BY_TISSUE = {"foam": FOAM_DEVIATION}
 # of a tissue of the library that slides out of the jaws
 SLIPPING_DEVIATION = ModelDeviation(slips_after_s=0.08, slips_within_s=0.3)
 
+HUNT_CROSSLEY = "Hunt-Crossley damping, seven times at the peak"
 MISMATCHES = {
     "matched": ModelDeviation(),
-    "Hunt-Crossley damping": ModelDeviation(hunt_crossley=True),
+    "Hunt-Crossley damping, by force": ModelDeviation(hunt_crossley=True),
+    HUNT_CROSSLEY: ModelDeviation(damping_at_peak=7.0),
     "relaxation 10 %": ModelDeviation(relaxed_share=0.10),
     "relaxation 30 %": ModelDeviation(relaxed_share=0.30),
     "relaxation 30 %, fast": ModelDeviation(relaxed_share=0.30, relaxation_s=0.1),

@@ -1,4 +1,4 @@
-"""`graspwatch study paper`: Tables III, IV and V and Figures 4 and 5 of the paper, beside its scheme and ours."""
+"""`graspwatch study paper`: Tables III, IV and V and Figures 4 and 5 of the paper, by its filters and by ours."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ from estimator.studies.paper_simulation import (
 from estimator.studies.paper_tables import TABLE_3, TABLE_4_N, TABLE_4_S, TABLE_5_S
 from estimator.studies.posterior_mode import compute_cramer_rao_bound, log_evidence, maximize_posterior
 from estimator.studies.study_report import TISSUE_COLORS, KeyFigure, StudyResult, Table
-from estimator.tissue_model import force_curve
+from estimator.tissue_model import elastic_force_array
 
 PARAMETER_NAMES = ("alpha", "beta", "d")
 
@@ -103,7 +103,7 @@ def _evaluate_case(case: tuple[str, int]) -> _PaperOutcome:
     elastic_n = _compute_elastic_force(mean)[:, 0]
     damped_n = elastic_n + np.exp(mean[:, 0, LOG_DAMPING]) * mean[:, 0, V]
     printed, printed_n, printed_force_n = run_paper_filters(run, guess[None], library.mass_kg, settings.conditioning)
-    truth_n = force_curve(profile.alpha_n, profile.beta_per_m, run.exact_displacement_m)
+    truth_n = elastic_force_array(profile.alpha_n, profile.beta_per_m, run.exact_displacement_m)
     blind_s, blind_n, probabilities = _run_blind(library, run)
     return _PaperOutcome(
         names.index(name),
@@ -128,7 +128,7 @@ def _evaluate_case(case: tuple[str, int]) -> _PaperOutcome:
 
 def _compute_elastic_force(mean: np.ndarray) -> np.ndarray:
     parameters = np.exp(mean[:, :, PARAMETERS])
-    return force_curve(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, X])
+    return elastic_force_array(parameters[:, :, 0], parameters[:, :, 1], mean[:, :, X])
 
 
 def _run_blind(library: TissueLibrary, run: SineRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -159,7 +159,7 @@ def _run_blind(library: TissueLibrary, run: SineRun) -> tuple[np.ndarray, np.nda
 def _compute_probabilities(library: TissueLibrary, run: SineRun, bank: FilterBank) -> np.ndarray:
     """Return probabilities of the tissues and of `unknown`, (M + 1,), from the Laplace evidence under each prior."""
     settings, priors = load_settings().identification, bank.priors
-    begin = bank.state.mean[bank.find_most_likely(), PARAMETERS_AND_MASS]
+    begin = bank.state.mean[bank.find_likeliest_filter(), PARAMETERS_AND_MASS]
     unknown = priors.mean.mean(axis=0), np.full(3, settings.unknown_spread_log)
     log_weights = [
         log_evidence(TwoSignalProblem.from_run(run, log_prior, log_sd, library.mass_kg), begin)
@@ -388,7 +388,7 @@ def _figure_5(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> t
             ("ours", np.mean([o.ours for o in by_tissue[k]], axis=0), "solid"),
         ):
             alpha, beta, _ = np.exp(log_parameters)
-            stress_kpa = force_curve(alpha, beta, x_m) / library.jaw_area_m2 / 1e3
+            stress_kpa = elastic_force_array(alpha, beta, x_m) / library.jaw_area_m2 / 1e3
             figure.add_scatter(
                 x=x_m / profile.thickness_m,
                 y=stress_kpa,

@@ -1,15 +1,15 @@
-"""The paper's simulation: tissues as printed in Table II under a raised cosine of force, with noisy signals."""
+"""Functions that repeat the paper's simulation: tissues of Table II under a raised cosine of force, noisy signals."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.compilation import compiled
 from acquisition.signals.low_pass import LowPassFilter
 from acquisition.simulation.tissue import Material, integrate_tissue
 from config.load import load_grasp_protocol
 from config.schema import ConditioningSettings, SineWaveform, TissueProfile
 from estimator.baselines.paper_filter import PaperFilterBank, PaperNoise
-from estimator.compilation import compiled
 from estimator.criteria import convergence_samples
 from estimator.filter_bank import ContactStart, FilterBank, FilterTuning, TissuePriors
 from estimator.kalman_filter import PARAMETERS, PARAMETERS_AND_MASS, STATE_COUNT, FilterNoise
@@ -100,9 +100,10 @@ def build_filter_bank(priors: TissuePriors, run: SineRun, widening: float = 1.0)
 
 
 def build_bank_inputs(run: SineRun) -> tuple[ContactStart, np.ndarray]:
-    """Return the start of a run for our filters, and its samples after the first, (n, 5).
+    """Convert a simulated run to the filter bank's inputs: start of contact, and the samples after the first, (n, 5).
 
-    Its force noise takes the place of the strain noise: 1 N per "volt".
+    The columns are force, N, displacement, m, newtons per volt, meters per volt, and step, s. The simulation has no
+    strain gage, so its force counts as a strain with 1 N per volt.
     """
     ones, zeros = np.ones(len(run.force_n)), np.zeros(len(run.force_n))
     samples = np.column_stack([run.force_n, run.displacement_m - run.displacement_m[0], ones, zeros, ones / RATE_HZ])

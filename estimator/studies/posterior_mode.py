@@ -1,4 +1,4 @@
-"""Maximum a posteriori estimate of a grasp's parameters from all of its samples.
+"""The function maximize_posterior: the most probable parameters of a grasp by all of its samples, and its problem.
 
 An extended filter that learns sample by sample changes the damping because of noise in the velocity. Here the
 parameters stay fixed while a filter estimates displacement, velocity, offset and strain noise. Its innovations, their
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.compilation import compiled
+from acquisition.compilation import compiled
 from estimator.filter_bank import FilterBank
 from estimator.kalman_filter import (
     DISPLACEMENT,
@@ -57,7 +57,7 @@ class PosteriorProblem:
         mean, cov = self.mean.copy(), self.cov.copy()
         mean[PARAMETERS_AND_MASS] = log_parameters
         cov[PARAMETERS_AND_MASS, :], cov[:, PARAMETERS_AND_MASS] = 0.0, 0.0
-        return _innovations(mean, cov, self.samples, self.noise)
+        return compute_innovations(mean, cov, self.samples, self.noise)
 
     def compute_gradient_and_information(self, log_parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the negative log posterior's gradient, (4,), and Fisher information, (4, 4); 0 for known ones."""
@@ -141,7 +141,7 @@ def _compute_standard_deviations(information: np.ndarray, free: np.ndarray) -> n
 
 
 @compiled
-def _innovations(
+def compute_innovations(
     mean: np.ndarray, cov: np.ndarray, samples: np.ndarray, noise: FilterNoise
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return innovations and their variances, (n - 1,) each, of a filter with fixed parameters."""

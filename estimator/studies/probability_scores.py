@@ -1,31 +1,11 @@
-"""Scores of probabilities: accuracy, calibration, confident errors, and the Bayes limit."""
+"""Functions that score probabilities: accuracy, calibration and confident errors."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from config.schema import TissueLibrary
-
 CONFIDENCE_THRESHOLD = 0.95
 BIN_COUNT = 10
-
-
-def bayes_limit(library: TissueLibrary, log_parameters: np.ndarray, thickness_m: float | None) -> np.ndarray:
-    """Return the probabilities, (M,), given a specimen's exact parameters, from the library's spreads alone.
-
-    `log_parameters`: log alpha, log beta, log d, (3,). `thickness_m`: None if the tool does not measure it.
-    """
-    used = 3 if thickness_m is None else 4
-    seen = np.append(log_parameters, math.log(thickness_m or 1.0))
-    log_density = []
-    for name, profile in library.tissues.items():
-        spread = library.spread_of(name)
-        centre = np.log([profile.alpha_n, profile.beta_per_m, profile.damping_kg_per_s, profile.thickness_m])
-        sd = np.array([spread.log_alpha, spread.log_beta, spread.log_damping, spread.log_thickness])
-        log_density.append(-np.sum(0.5 * ((seen - centre)[:used] / sd[:used]) ** 2 + np.log(sd[:used])))
-    weights = np.exp(np.array(log_density) - max(log_density))
-    return weights / weights.sum()
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +20,7 @@ class Score:
 
 
 def score_answers(probabilities: np.ndarray, truth: np.ndarray) -> Score:
-    """Score `probabilities`, (n, M + 1), against `truth`, (n,), the index of the right answer."""
+    """Return the score of `probabilities`, (n, M + 1), for `truth`, (n,), the index of each right answer."""
     confidence, right = probabilities.max(axis=1), probabilities.argmax(axis=1) == truth
     of_truth = probabilities[np.arange(len(truth)), truth]
     return Score(

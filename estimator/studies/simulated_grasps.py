@@ -1,10 +1,12 @@
-"""Simulate grasps for the studies, with specimen, sensors, calibration and conditioning as in a run."""
+"""Functions that simulate grasps for the studies, with specimen, sensors, calibration and conditioning as in a run."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from acquisition.protocol_player import ProtocolPlayer
+from acquisition.sample_block import SampleBlock
 from acquisition.signals.pipeline import ConditioningPipeline
 from acquisition.simulation.grasper import SimulatedGrasper, collect_block
 from acquisition.simulation.tissue import NO_DEVIATION, ModelDeviation, Specimen
@@ -36,15 +38,43 @@ class SimulatedGrasp:
 def simulate_grasp(
     tool: Tool, library: TissueLibrary, conditioning: ConditioningSettings, protocol: GraspProtocol, case: GraspCase
 ) -> SimulatedGrasp:
-    """Play one cycle of `protocol` on the simulated grasper and condition its sensors' samples."""
+    """Play one cycle of `protocol` on the simulated grasper; return its conditioned samples and the specimen."""
+    return simulate_spot(tool, library, conditioning, protocol, case, grasps=1)[-1]
+
+
+def simulate_spot(
+    tool: Tool,
+    library: TissueLibrary,
+    conditioning: ConditioningSettings,
+    protocol: GraspProtocol,
+    case: GraspCase,
+    grasps: int,
+) -> list[SimulatedGrasp]:
+    """Play `grasps` cycles of `protocol` on one spot; return each grasp with the samples from the grasp before on."""
     block = tool.board.block_samples
-    player = ProtocolPlayer(protocol, tool, 1)
+    player = ProtocolPlayer(protocol, tool, grasps)
     commands: list[float] = []
     while not player.done:
         commands += [player.next_command(block)] * block
     grasper = SimulatedGrasper(tool, case.tissue_library or library, case.tissue, case.seed, case.deviation)
-    raw = collect_block([grasper.step(command) for command in commands], commands, first_tick=0)
-    return SimulatedGrasp(ConditioningPipeline(tool, conditioning).process(raw).samples, grasper.specimen)
+    readings, specimens = [], []
+    for command in commands:
+        readings.append(grasper.step(command))
+        if not specimens or grasper.specimen is not specimens[-1]:
+            specimens.append(grasper.specimen)
+    samples = ConditioningPipeline(tool, conditioning).process(collect_block(readings, commands, first_tick=0)).samples
+    ends = np.searchsorted(samples["grasp"], np.arange(2, grasps + 1))
+    return [
+        SimulatedGrasp(part, specimen)
+        for part, specimen in zip(np.split(samples, ends), specimens[-grasps:], strict=True)
+    ]
+
+
+def split_into_blocks(samples: np.ndarray, tool: Tool) -> Iterator[SampleBlock]:
+    """Yield conditioned samples in blocks of the tool's size, as the acquisition publishes them."""
+    size = tool.board.block_samples
+    for begin in range(0, len(samples), size):
+        yield SampleBlock(begin, 0, 0, samples[begin : begin + size])
 
 
 def extract_contact_samples(grasp: SimulatedGrasp) -> np.ndarray:

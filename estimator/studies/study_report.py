@@ -1,4 +1,4 @@
-"""A study's result: figures with their targets, tables and plots, as one self-contained HTML page and as JSON."""
+"""The class StudyResult: figures with targets, tables and plots, written as a self-contained HTML page and as JSON."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 import plotly.io
 from markupsafe import Markup
 
+from config.atomic_write import write_atomically
 from estimator.studies.html_page import Table, format_value, render_template, to_json_value
 
 # Okabe and Ito's palette, as on the dashboard
@@ -40,8 +41,9 @@ class KeyFigure:
             return None
         if self.value is None:
             return False
-        return (self.at_most is None or self.value <= self.at_most) and (
-            self.at_least is None or self.value >= self.at_least
+        return bool(
+            (self.at_most is None or self.value <= self.at_most)
+            and (self.at_least is None or self.value >= self.at_least)
         )
 
     @property
@@ -76,11 +78,15 @@ class StudyResult:
         }
 
     def write(self, folder: Path) -> tuple[Path, Path]:
-        """Write `study-NAME.html` and `study-NAME.json` into `folder`; return both paths."""
+        """Write `study-NAME.html` and `study-NAME.json` into `folder`; return both paths.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         page, data = folder / f"study-{self.name}.html", folder / f"study-{self.name}.json"
-        page.write_text(self.render_page(), encoding="utf-8")
-        data.write_text(json.dumps(self.to_document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_atomically(page, self.render_page())
+        write_atomically(data, json.dumps(self.to_document(), indent=2, allow_nan=False) + "\n")
         return page, data
 
     def render_page(self) -> str:

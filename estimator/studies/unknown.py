@@ -1,4 +1,4 @@
-"""`graspwatch study unknown`: how often things outside the library are called unknown, and the library's tissues."""
+"""`graspwatch study unknown`: how often unknown is said of things outside the library, and of its own tissues."""
 
 from dataclasses import asdict, dataclass
 
@@ -60,10 +60,13 @@ def run_unknown_study(
     least = min(by_kind, key=lambda kind: _compute_unknown_share(by_kind[kind]))
     study.figures = [
         KeyFigure(
-            "strangers called unknown within the grasp", _compute_unknown_share(out_of_library), "%", at_least=95.0
+            "out of the library: called unknown within the grasp",
+            _compute_unknown_share(out_of_library),
+            "%",
+            at_least=95.0,
         ),
         KeyFigure(
-            "strangers still called unknown at its end",
+            "out of the library: still called unknown at its end",
             100 * float(np.mean([a.unknown_at_end for a in out_of_library])),
             "%",
         ),
@@ -72,7 +75,7 @@ def run_unknown_study(
             "the same, at the grasp's end", 100 * float(np.mean([a.unknown_at_end for a in known])), "%", at_most=3.0
         ),
         KeyFigure(
-            "strangers named as a tissue at the grasp's end",
+            "out of the library: named as a tissue at the grasp's end",
             100 * float(np.mean([a.label in library.tissues for a in out_of_library])),
             "%",
         ),
@@ -132,7 +135,7 @@ def _plot_roc(out_of_library: list[_UnknownAnswer], known: list[_UnknownAnswer])
     figure.add_scatter(x=wrong, y=found, mode="lines+markers", line={"color": PALETTE[0], "shape": "hv"}, name="ours")
     figure.update_layout(
         xaxis_title="library's tissues called unknown",
-        yaxis_title="strangers called unknown",
+        yaxis_title="out of the library, called unknown",
         xaxis_range=[-0.01, 1],
         yaxis_range=[0, 1.01],
     )

@@ -1,3 +1,5 @@
+const SVG = "http://www.w3.org/2000/svg";
+
 /** Returns the element with this id inside `root`. Throws where there is none, or one of another kind. */
 export function find(root: ParentNode, id: string): HTMLElement;
 export function find<Kind extends Element>(root: ParentNode, id: string, kind: new () => Kind): Kind;
@@ -22,6 +24,18 @@ export function create<Tag extends keyof HTMLElementTagNameMap>(
   const element = document.createElement(tag);
   element.className = className;
   element.textContent = text;
+  return element;
+}
+
+export function createOption(value: string, text: string): HTMLOptionElement {
+  const option = create("option", "", text);
+  option.value = value;
+  return option;
+}
+
+export function createSvg(tag: string, attributes: Record<string, string | number>): SVGElement {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
   return element;
 }
 

@@ -1,3 +1,5 @@
+import { serverTimeMs } from "./live/clock";
+
 /** Text for a missing value. */
 export const NO_VALUE = "–";
 
@@ -47,10 +49,9 @@ export function bytes(count: number): string {
   return fixed(count / 1000 ** power, power < 3 ? 0 : 1, units[power] ?? "B");
 }
 
-/** Returns the local time of day at a moment of `performance.now()`. */
+/** Returns the time of day, by the server's clock in the viewer's zone, at a moment of `performance.now()`. */
 export function clockTime(pageMs: number): string {
-  const date = new Date(Date.now() - (performance.now() - pageMs));
-  return date.toLocaleTimeString("en-GB", { hour12: false });
+  return new Date(serverTimeMs(pageMs)).toLocaleTimeString("en-GB", { hour12: false });
 }
 
 export const count = (n: number, one: string, many = `${one}s`): string => `${n} ${n === 1 ? one : many}`;

@@ -82,6 +82,15 @@ const ROUTES: Route[] = [
   },
   {
     name: "system",
+    title: "Configuration",
+    matches: (path) => path === "/configuration",
+    load: async () => {
+      const { OwnFilesPage } = await import("./pages/own-files");
+      return (box) => new OwnFilesPage(box, person);
+    },
+  },
+  {
+    name: "system",
     title: "Calibration",
     matches: (path) => path === "/calibration",
     load: async () => {

@@ -30,10 +30,11 @@ export const hello = (values: Partial<Hello> = {}): Hello => ({
     name: "tool",
     title: "Tool",
     kind: "simulated",
+    has_motor: true,
     sample_rate_hz: 100,
     max_command_v: 5,
     force_ceiling_n: 20,
-    force_scale: { value: 1, low: 1, high: 1, measured: true, source: "", date: null, expires: null, text: "" },
+    force_scale: { law: "eq2", value: 1, low: 1, high: 1, measured: true, source: "", date: null, expires: null, text: "" },
     calibration_date: "",
     calibrated_by: "",
   },
@@ -71,6 +72,7 @@ export const state = (values: Partial<State> = {}): State => ({
   estimator_latency_ms: null,
   viewers: 1,
   recording: { enabled: false, file: null, samples: 0, missing_blocks: 0, problem: null },
+  reference: { taken_at: null, stall_v: null, declined: false, wanted: false, problem: null },
   free_disk_bytes: null,
   faults: [],
   event_number: null,
@@ -99,6 +101,7 @@ export const identification = (values: Partial<Identification> = {}): Identifica
   convergence_s: {},
   force_error_n: {},
   spots: [],
+  nis: {},
   ...values,
 });
 

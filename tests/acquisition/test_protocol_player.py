@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.protocol_player import ProtocolPlayer, command_cycle
+from acquisition.protocol_player import MAX_CYCLE_SAMPLES, ProtocolPlayer, build_cycle_command
 from config.errors import GraspwatchError, RefusedError
 from config.load import list_shipped_names, load_grasp_protocol, load_tool
 from config.schema import CustomWaveform, GraspProtocol, SineWaveform, Tool, TrapezoidWaveform
@@ -32,15 +32,22 @@ def as_quick_as(max_command_v_per_s: float) -> Tool:
     return TOOL.model_copy(update={"limits": limits})
 
 
-@pytest.mark.parametrize("name", list_shipped_names("protocols"))
+@pytest.mark.parametrize("name", sorted({*list_shipped_names("protocols")} - {"by_hand"}))
 def test_every_shipped_protocol_passes_the_bound_on_the_rise_and_a_faster_one_is_refused(name: str) -> None:
-    fastest = np.diff(command_cycle(load_grasp_protocol(name), TOOL)).max() * RATE_HZ
+    fastest = np.diff(build_cycle_command(load_grasp_protocol(name), TOOL)).max() * RATE_HZ
     with pytest.raises(RefusedError, match=r"rises by .* V/s; the tool 'simulated' allows at most .* V/s\. Make"):
-        command_cycle(load_grasp_protocol(name), as_quick_as(0.99 * fastest))
+        build_cycle_command(load_grasp_protocol(name), as_quick_as(0.99 * fastest))
+
+
+def test_a_cycle_is_as_long_as_can_be_computed_between_two_blocks() -> None:
+    longest_s = MAX_CYCLE_SAMPLES / RATE_HZ
+    assert len(build_cycle_command(trapezoid(1.0, hold_s=longest_s - 0.3), TOOL)) == MAX_CYCLE_SAMPLES
+    with pytest.raises(RefusedError, match=r"'mine' takes 301 s; at 1000 samples a second at most 300 s can be played"):
+        build_cycle_command(trapezoid(1.0, hold_s=longest_s + 0.7), TOOL)
 
 
 def test_a_fall_is_never_too_fast() -> None:
-    assert command_cycle(trapezoid(3.5, up_s=0.06, down_s=0.001), TOOL).max() == pytest.approx(3.5)
+    assert build_cycle_command(trapezoid(3.5, up_s=0.06, down_s=0.001), TOOL).max() == pytest.approx(3.5)
 
 
 def played(player: ProtocolPlayer, block: int) -> np.ndarray:
@@ -57,7 +64,7 @@ def test_all_of_the_papers_protocols_are_shipped() -> None:
 
 @pytest.mark.parametrize(("name", "ramp_s", "peak_v"), TRAPEZOIDS)
 def test_a_shipped_trapezoid_has_the_papers_ramps_peak_hold_and_rest(name: str, ramp_s: float, peak_v: float) -> None:
-    command_v = command_cycle(load_grasp_protocol(name), TOOL)
+    command_v = build_cycle_command(load_grasp_protocol(name), TOOL)
     time_s = np.arange(len(command_v)) / RATE_HZ
     assert time_s[-1] + 1 / RATE_HZ == pytest.approx(2 * ramp_s + 0.5 + 0.5)
     grasp_s = 2 * ramp_s + 0.5
@@ -66,7 +73,7 @@ def test_a_shipped_trapezoid_has_the_papers_ramps_peak_hold_and_rest(name: str, 
 
 
 def test_the_sine_is_a_force_of_2_newton_first_at_2_then_at_4_hz_for_10_s() -> None:
-    command_v = command_cycle(load_grasp_protocol("sine"), TOOL)
+    command_v = build_cycle_command(load_grasp_protocol("sine"), TOOL)
     force_n = TOOL.command_to_force.to_force_n(command_v)
     assert len(command_v) == 10.5 * RATE_HZ  # with its rest
     assert not command_v[10_000:].any()
@@ -87,7 +94,7 @@ def test_a_custom_waveform_goes_straight_from_point_to_point(data: st.DataObject
     waveform = CustomWaveform(
         shape="custom", time_s=tuple(time / 1000 for time in times_ms), command_v=tuple(volts), rest_s=0.05
     )
-    command_v = command_cycle(GraspProtocol(name="mine", title="Mine", waveform=waveform), as_quick_as(1e6))
+    command_v = build_cycle_command(GraspProtocol(name="mine", title="Mine", waveform=waveform), as_quick_as(1e6))
     assert len(command_v) == times_ms[-1] + 50
     np.testing.assert_allclose(command_v[times_ms], volts, rtol=0, atol=1e-9)
     for k, steps in enumerate(steps_ms):
@@ -103,7 +110,7 @@ def test_a_custom_waveform_goes_straight_from_point_to_point(data: st.DataObject
 @given(st.floats(0.01, 20.0))
 def test_a_trapezoid_is_played_up_to_the_tools_command_and_refused_beyond(peak_v: float) -> None:
     if peak_v <= 3.5:
-        assert command_cycle(trapezoid(peak_v), TOOL).max() == pytest.approx(peak_v, rel=1e-12)
+        assert build_cycle_command(trapezoid(peak_v), TOOL).max() == pytest.approx(peak_v, rel=1e-12)
         return
     with pytest.raises(RefusedError, match=rf"asks for {peak_v:.2f} V.* allows at most 3\.50 V\. Lower its peak"):
         ProtocolPlayer(trapezoid(peak_v), TOOL, 1)
@@ -115,10 +122,10 @@ def test_a_sine_is_refused_where_its_force_needs_too_large_a_command(peak_n: flo
     sine = SineWaveform(shape="sine", peak_n=peak_n, first_hz=2.0, then_hz=4.0, then_cycles=1, rest_s=0.5)
     protocol = GraspProtocol(name="mine", title="Mine", waveform=sine)
     if not refused:
-        assert command_cycle(protocol, TOOL).max() <= 3.5
+        assert build_cycle_command(protocol, TOOL).max() <= 3.5
         return
     with pytest.raises(RefusedError, match=r"at most 3\.50 V"):
-        command_cycle(protocol, TOOL)
+        build_cycle_command(protocol, TOOL)
 
 
 def test_a_run_longer_than_the_tool_may_run_is_refused() -> None:
@@ -145,7 +152,7 @@ def test_a_cycle_shorter_than_a_sample_is_refused() -> None:
 def test_a_run_is_its_lead_in_and_its_cycles_whatever_the_blocks(cycles: int, block: int, lead_in_ms: int) -> None:
     protocol = trapezoid(2.0).model_copy(update={"lead_in_s": lead_in_ms / 1000})
     command_v = played(ProtocolPlayer(protocol, TOOL, cycles), block)
-    whole = np.concatenate([np.zeros(lead_in_ms), *([command_cycle(protocol, TOOL)] * cycles)])
+    whole = np.concatenate([np.zeros(lead_in_ms), *([build_cycle_command(protocol, TOOL)] * cycles)])
     starts = np.arange(0, len(whole), block)
     np.testing.assert_array_equal(command_v, np.repeat(whole[starts], block))
 

@@ -3,7 +3,7 @@
 import pytest
 
 from acquisition import signal_table
-from acquisition.signal_table import SIGNALS, Signal, Source, find_wired_inputs, sort_by_number
+from acquisition.signal_table import SIGNALS, Signal, Source, find_wired_inputs, list_numbered_names
 from config.errors import ConfigurationError
 from config.schema import Channels, OtherInput
 
@@ -31,7 +31,7 @@ def test_a_tool_file_without_further_inputs_is_kept_as_it_was_and_every_tool_can
 
 
 def test_a_number_that_is_missing_or_given_twice_is_told() -> None:
-    assert sort_by_number("frame", [(2, "b"), (None, "c"), (1, "a")]) == ["a", "b"]
+    assert list_numbered_names("frame", [(2, "b"), (None, "c"), (1, "a")]) == ["a", "b"]
     for numbers in ([(1, "a"), (3, "b")], [(1, "a"), (1, "b")]):
         with pytest.raises(RuntimeError, match="frame: the numbers"):
-            sort_by_number("frame", numbers)
+            list_numbered_names("frame", numbers)

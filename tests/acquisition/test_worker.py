@@ -1,5 +1,6 @@
 """A worker that was held up: an error of the board that the delay has caused is mended, any other one is raised."""
 
+import multiprocessing
 from collections.abc import Iterator
 
 import pytest
@@ -11,7 +12,8 @@ from acquisition.safety_state_machine import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
-from acquisition.worker import StallDetector
+from acquisition.worker import StallDetector, await_start
+from acquisition.worker_process import ProcessEndFlag
 from config.errors import ToolError
 from config.load import load_grasp_protocol, load_library, load_settings, load_tool
 
@@ -52,6 +54,24 @@ def rig() -> Iterator[Rig]:
     with zmq.Context() as context, context.socket(zmq.PUB) as publisher, rig.source:
         rig.start(publisher)
         yield rig
+
+
+def test_the_tool_is_opened_after_the_signal_and_not_after_the_death_of_the_service() -> None:
+    """At the death of the server the kernel closes its end of the pipe before it sends any signal."""
+    stop = ProcessEndFlag.__new__(ProcessEndFlag)  # without its signal handlers
+    stop.is_set = False
+    reader, sender = multiprocessing.Pipe(duplex=False)
+    sender.send(None)
+    assert [await_start(reader, stop) for _ in range(2)] == [True, True], "it stays for the next worker"
+    sender.close()
+    assert not await_start(reader, stop)
+    reader, sender = multiprocessing.Pipe(duplex=False)
+    sender.close()
+    assert not await_start(reader, stop)
+    reader, sender = multiprocessing.Pipe(duplex=False)
+    sender.send(None)
+    stop.is_set = True
+    assert not await_start(reader, stop)
 
 
 @pytest.mark.parametrize("blocks_before_the_error", [0, 1, 3])

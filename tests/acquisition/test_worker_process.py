@@ -7,9 +7,15 @@ import signal
 import time
 from multiprocessing.connection import Connection
 
+import numpy as np
 import pytest
 
-from acquisition.worker_process import RealtimePriority, read_activity, start_child_process, take_server_priority
+from acquisition.worker_process import (
+    RealtimePriority,
+    read_process_snapshot,
+    start_child_process,
+    take_server_priority,
+)
 
 
 def may_take_priority() -> bool:
@@ -35,8 +41,7 @@ def tell_own(told: Connection) -> None:
 def run_wild(told: Connection) -> None:
     priority = take_server_priority(requested=True)
     told.send(os.sched_getscheduler(0))
-    child = multiprocessing.get_context("spawn").Process(target=tell_own, args=(told,))
-    start_child_process(child)
+    child = start_child_process("child", tell_own, told)
     child.join()
     end_s = time.monotonic() + 10.0
     while os.sched_getscheduler(0) == os.SCHED_FIFO and time.monotonic() < end_s:
@@ -109,10 +114,38 @@ def test_a_stopped_process_is_seen_to_be_held_up() -> None:
     try:
         os.kill(process.pid, signal.SIGSTOP)
         os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
-        assert read_activity(process.pid).is_suspended
+        assert read_process_snapshot(process.pid).is_suspended
         os.kill(process.pid, signal.SIGCONT)
         os.waitid(os.P_PID, process.pid, os.WCONTINUED | os.WNOWAIT)
-        assert not read_activity(process.pid).is_suspended
+        assert not read_process_snapshot(process.pid).is_suspended
     finally:
         process.kill()
         process.join()
+
+
+def send_sum(told: Connection, numbers: np.ndarray) -> None:
+    time.sleep(0.5)
+    told.send(float(numbers.sum()))
+
+
+def test_a_process_with_many_arguments_is_started_without_waiting_for_it() -> None:
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    begin = time.monotonic()
+    child = start_child_process("child", send_sum, theirs, np.ones(10_000_000))
+    took_s = time.monotonic() - begin
+    theirs.close()
+    assert ours.recv() == 10_000_000.0
+    assert took_s < time.monotonic() - begin - 0.5  # it neither waited for the work nor for the import of numpy
+    child.join()
+
+
+def test_a_parent_learns_that_its_process_with_many_arguments_was_killed_while_it_loaded() -> None:
+    """The parent waited for ever; a service would neither answer nor end."""
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    child = start_child_process("child", send_sum, theirs, np.ones(10_000_000))
+    child.kill()
+    theirs.close()
+    with pytest.raises(EOFError):
+        ours.recv()
+    child.join()
+    assert child.exitcode == -signal.SIGKILL

@@ -14,7 +14,7 @@ from acquisition.recordings.recording import RecordingSource
 from app.analysis.headless import replay_recording
 from app.recordings.exchange.export import export_run
 from app.recordings.exchange.export_formats import ExportFormat
-from app.recordings.exchange.labview_import import import_labview
+from app.recordings.exchange.log_import import import_log
 from app.recordings.mcap_writer import RecordingContext
 from config.load import load_library, load_settings, load_tool
 
@@ -70,7 +70,7 @@ def _files(folder: Path) -> list[tuple[str, float, str, str]]:
         return recording.duration_s
 
     def take_in() -> float:
-        path = import_labview(log, folder, rig, None, lambda _: None).path
+        path = import_log(log, folder, rig, None, lambda _: None).path
         duration_s = RecordingSource(path, rig.tool).duration_s
         path.unlink()
         return duration_s

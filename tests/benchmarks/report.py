@@ -8,7 +8,7 @@ from simulation import joined, simulate_raw, write_lvm
 
 from app.analysis.report.page import render_report_page
 from app.analysis.report.report import analyze_recordings
-from app.host.atomic_write import write_atomically
+from config.atomic_write import write_atomically
 from config.load import load_library, load_settings, load_tool
 
 GRASPS = 500

@@ -4,7 +4,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 from service import Service
-from simulation import joined, simulate_raw, write_lvm
+from simulation import joined, simulate_raw, simulated_recording_tool, write_lvm
 from watched import PAGES, SIZES
 
 pytestmark = pytest.mark.browser
@@ -13,14 +13,19 @@ pytestmark = pytest.mark.browser
 @pytest.fixture(scope="module")
 def running_service(calm):
     with Service("serve", *calm) as running:
-        grasps = joined(simulate_raw("gallbladder", "trapezoid_2hz", cycles=3))
+        grasps = joined(simulate_raw("gallbladder", cycles=3, tool=simulated_recording_tool()))
         write_lvm(running.data / "recordings" / "gallbladder.lvm", grasps)
         (running.data / "recordings" / "broken.lvm").write_text("LabVIEW Measurement\n")
         running.finished(running.run(protocol="trapezoid_4hz", cycles=2, tissue="liver")["id"])
         yield running
 
 
-EVERY_PAGE = {**PAGES, "replay": "/recordings/gallbladder.lvm", "calibration": "/calibration"}
+EVERY_PAGE = {
+    **PAGES,
+    "replay": "/recordings/gallbladder.lvm",
+    "calibration": "/calibration",
+    "configuration": "/configuration",
+}
 
 
 def opened(watch, service, page, **options):
@@ -42,7 +47,8 @@ def axe_complaints(viewer):
 def test_a_page_fits_every_screen_and_a_gloved_hand_and_meets_axes_rules(service, watch, page):
     viewer = opened(watch, service, page)
     assert axe_complaints(viewer) == ""
-    small = viewer.page.evaluate("""() => [...document.querySelectorAll("button, select, input, summary, nav a")]
+    small = viewer.page.evaluate("""() =>
+        [...document.querySelectorAll("button, select, input, textarea, summary, nav a")]
         .filter((each) => each.checkVisibility() && !each.closest(".lines"))
         .map((each) => [each.id || each.textContent, each.getBoundingClientRect()])
         .filter(([, box]) => box.height < 43.5 || box.width < 43.5)

@@ -12,7 +12,7 @@ import tomlkit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from acquisition.protocol_player import command_cycle
+from acquisition.protocol_player import build_cycle_command
 from config.errors import ConfigurationError, RefusedError
 from config.load import (
     CONFIG_DIR,
@@ -89,7 +89,7 @@ def test_any_value_in_any_place_is_taken_or_told(tmp_path: Path, chance: st.Data
     match load(folder, path):
         case GraspProtocol() as protocol:
             try:
-                assert np.isfinite(command_cycle(protocol, TOOL)).all()
+                assert np.isfinite(build_cycle_command(protocol, TOOL)).all()
             except RefusedError as error:
                 assert protocol.name in str(error)
         case TissueLibrary() as library:
@@ -136,4 +136,4 @@ def test_a_frequency_beyond_all_measure_is_no_motor_command(tmp_path: Path) -> N
     content["waveform"] |= {"then_hz": 1e308, "then_cycles": 10**308}
     path.write_text(tomlkit.dumps(content))
     with pytest.raises(RefusedError, match="gives no motor command"):
-        command_cycle(load_grasp_protocol(str(path)), TOOL)
+        build_cycle_command(load_grasp_protocol(str(path)), TOOL)

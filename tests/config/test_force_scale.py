@@ -3,10 +3,13 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from acquisition.signals.calibration import compute_jaw_signals
 from config.errors import ConfigurationError
-from config.load import find_tool_file, load_library, load_tool
+from config.load import FileKind, find_file, load_library, load_tool
+from config.schema import ForceLaw
 
 LIBRARY = load_library("porcine")
 MEASURED = """jaw_force_scale = { value = 0.1, low = 0.08, high = 0.12, measured = true, source = "load cell", \
@@ -15,7 +18,7 @@ date = 2026-11-20, expires = 2027-11-20 }"""
 
 def tool_with(folder: Path, scale: str, name: str = "nidaq"):
     """A shipped tool file with another line for the scale."""
-    text = re.sub(r"\[calibration\.jaw_force_scale\](\n|.)*?\n\n", "\n", find_tool_file(name).read_text())
+    text = re.sub(r"\[calibration\.jaw_force_scale\](\n|.)*?\n\n", "\n", find_file(name, FileKind.TOOL).read_text())
     path = folder / "tool.toml"
     path.write_text(text.replace("rest_offset_v", f"{scale}\nrest_offset_v", 1))
     return load_tool(str(path))
@@ -23,7 +26,10 @@ def tool_with(folder: Path, scale: str, name: str = "nidaq"):
 
 def test_shipped_tools_say_by_which_scale_newtons_are() -> None:
     assert load_tool("nidaq").scale_text == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
-    assert load_tool("smart_tool_2013").scale_text == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
+    rig, printed = load_tool("smart_tool_2013"), load_tool("smart_tool_2013_eq2")
+    assert rig.scale_text == "N by a constant 0.75 N/V of strain (0.6 to 0.9), not measured"
+    assert printed.scale_text == "N by Eq. (2), scale 1.0 (0.05 to 1.0), not measured"
+    assert rig.calibration_fingerprint != printed.calibration_fingerprint
     assert load_tool("simulated").scale_text == "N by Eq. (2), scale exactly 1.0: simulated"
     assert not load_tool("nidaq").has_known_scale, "a motor, and newtons that nobody measured"
     assert all(load_tool(name).has_known_scale for name in ("smart_tool_2013", "simulated"))
@@ -49,6 +55,17 @@ def test_a_number_alone_is_not_measured_and_nothing_narrows_its_interval(tmp_pat
     assert tool.calibration_fingerprint == tool_with(tmp_path, line).calibration_fingerprint
 
 
+def test_a_constant_scale_is_newtons_per_volt_at_every_angle_of_the_jaws() -> None:
+    strain_v, encoder_deg = np.array([0.1, 1.0, 2.5]), np.array([100.0, 150.0, 300.0])
+    jaw = compute_jaw_signals(load_tool("smart_tool_2013"), strain_v, encoder_deg)
+    printed = compute_jaw_signals(load_tool("smart_tool_2013_eq2"), strain_v, encoder_deg)
+    assert jaw.valid.all()
+    np.testing.assert_allclose(jaw.force_n, 0.75 * strain_v, rtol=1e-12)
+    np.testing.assert_allclose(jaw.newton_per_volt, 0.75, rtol=1e-12)
+    np.testing.assert_array_equal(jaw.displacement_m, printed.displacement_m)
+    assert (printed.force_n > 6 * strain_v).all()  # Eq. (2): 6.2 N/V with open jaws
+
+
 def test_a_simulated_tool_of_before_is_exact(tmp_path: Path) -> None:
     tool = tool_with(tmp_path, "jaw_force_scale = 0.5", "simulated")
     assert (tool.max_force_factor, tool.has_known_scale) == (1.0, True)
@@ -70,3 +87,12 @@ def test_a_simulated_tool_of_before_is_exact(tmp_path: Path) -> None:
 def test_an_impossible_scale_is_refused(tmp_path: Path, line: str, says: str) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(says)):
         tool_with(tmp_path, line)
+
+
+def test_the_smart_tool_by_equation_2_differs_in_its_scale_alone() -> None:
+    constant, eq2 = (
+        load_tool(name).model_dump(exclude={"name", "title"}) for name in ("smart_tool_2013", "smart_tool_2013_eq2")
+    )
+    scales = [each["calibration"].pop("jaw_force_scale") for each in (constant, eq2)]
+    assert constant == eq2
+    assert [scale["law"] for scale in scales] == [ForceLaw.CONSTANT, ForceLaw.EQUATION_2]

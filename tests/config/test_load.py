@@ -1,7 +1,9 @@
 """Configuration files: what is shipped, and what a person is told who gets one wrong."""
 
+import codecs
 import math
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +15,28 @@ from pydantic import ValidationError
 from config.errors import ConfigurationError
 from config.load import (
     CONFIG_DIR,
+    FileKind,
     build_graspable_library,
+    find_file,
+    list_faults,
+    list_names,
     list_shipped_names,
     load_grasp_protocol,
     load_library,
+    load_own_file,
     load_settings,
     load_tool,
+    parse_file,
 )
-from config.schema import Settings, TissueLibrary, Tool
+from config.schema import GraspProtocol, Settings, TissueLibrary, Tool
+from config.writing import write_calibrated_tool
 
 LOADERS = {"tools": load_tool, "tissues": load_library, "protocols": load_grasp_protocol}
 SHIPPED = [(folder, name) for folder in LOADERS for name in list_shipped_names(folder)]
 TISSUES = ("liver", "small_bowel", "bladder", "gallbladder")
-TWO_N_MM = {"liver": "0.63", "small_bowel": "0.73", "bladder": "7.6", "gallbladder": "4.2"}
-TWO_N_STRAIN = {"liver": "0.085", "small_bowel": "0.133", "bladder": "0.293", "gallbladder": "0.163"}
+TWO_N_MM = {"liver": "1.97", "small_bowel": "1.96", "bladder": "20.0", "gallbladder": "10.5"}
+TWO_N_STRAIN = {"liver": "0.26", "small_bowel": "0.36", "bladder": "0.77", "gallbladder": "0.40"}
+MODULUS_KPA = {"liver": "12.2", "small_bowel": "6.2", "bladder": "0.0", "gallbladder": "4.3"}
 THRESHOLD_N = {"liver": "3.38", "small_bowel": "5.63", "bladder": "2.25", "gallbladder": "2.25"}
 
 TRAPEZOID = """
@@ -47,9 +57,9 @@ def as_printed(value: float, printed: str) -> bool:
     return f"{value:.{len(printed.partition('.')[2])}f}" == printed
 
 
-def fault_of(load: Callable[[str], object], path: Path) -> str:
+def fault_of(load: Callable[..., object], path: Path | str, *data_folder: Path) -> str:
     with pytest.raises(ConfigurationError) as caught:
-        load(str(path))
+        load(str(path), *data_folder)
     return str(caught.value)
 
 
@@ -86,17 +96,43 @@ def test_the_shipped_settings_say_what_the_defaults_are_and_name_files_that_exis
     assert set(load_library(settings.library).tissues) == set(TISSUES)
 
 
-def test_porcine_is_table_2_with_its_units_mended(library: TissueLibrary) -> None:
+def test_porcine_is_table_2_read_as_a_stress_over_strain(library: TissueLibrary) -> None:
+    """Eq. (21): alpha is alpha-bar times the jaw area, and beta is beta-bar over the thickness, for every tissue."""
     printed = load_library("paper_table2")
     assert set(printed.tissues) == set(library.tissues) == set(TISSUES)
     assert (printed.mass_kg, printed.jaw_area_m2) == (library.mass_kg, library.jaw_area_m2) == (0.005, 56.3e-6)
     for name in TISSUES:
-        table, mended = printed.tissues[name], library.tissues[name]
-        alpha_unit = 1.0 if name == "bladder" else 1e-3  # mN, but the bladder's
-        assert mended.alpha_n == pytest.approx(table.alpha_n * alpha_unit, rel=1e-12)
-        assert mended.beta_per_m == pytest.approx(table.beta_per_m / table.thickness_m, abs=5e-4)  # 3 decimals
+        table, profile = printed.tissues[name], library.tissues[name]
+        assert (profile.alpha_pa, profile.beta_per_strain) == (table.alpha_n, table.beta_per_m)  # the printed numbers
+        assert profile.alpha_n == pytest.approx(table.alpha_n * 56.3e-6, rel=1e-12)
+        assert profile.beta_per_m == pytest.approx(table.beta_per_m / table.thickness_m, rel=1e-12)
         for same in ("damping_kg_per_s", "thickness_m", "threshold_pa"):
-            assert getattr(mended, same) == getattr(table, same)
+            assert getattr(profile, same) == getattr(table, same)
+
+
+@pytest.mark.parametrize("tissue", TISSUES)
+def test_each_tissue_is_as_stiff_as_living_tissue(library: TissueLibrary, tissue: str) -> None:
+    """The modulus at small strains: 2 to 20 kPa in living liver. The former reading gave liver 216 kPa."""
+    profile = library.tissues[tissue]
+    modulus_pa = profile.alpha_n * profile.beta_per_m * profile.thickness_m / library.jaw_area_m2
+    assert as_printed(modulus_pa / 1e3, MODULUS_KPA[tissue])
+
+
+def test_tissue_thicker_than_the_jaws_open_is_held_as_a_fold(library: TissueLibrary) -> None:
+    opening_m = load_tool("simulated").geometry.opening_m
+    assert opening_m
+    folds = {name for name, profile in library.tissues.items() if profile.preload_n}
+    assert folds == {name for name, profile in library.tissues.items() if profile.thickness_m > opening_m}
+
+
+def test_a_recorded_library_keeps_its_units(library: TissueLibrary) -> None:
+    assert TissueLibrary.model_validate_json(library.model_dump_json()) == library
+    before = library.model_dump()
+    del before["units"]
+    for profile in before["tissues"].values():
+        for key in ("alpha_pa", "beta_per_strain", "preload_n"):
+            del profile[key]
+    assert TissueLibrary.model_validate(before).units is None  # as in recordings of earlier versions
 
 
 @pytest.mark.parametrize("tissue", TISSUES)
@@ -119,16 +155,60 @@ def test_injury_thresholds_are_the_papers(name: str) -> None:
     assert load_library(name).lowest_threshold_n == min(thresholds.values())
 
 
+def test_a_library_in_the_old_units_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    text = (CONFIG_DIR / "tissues/out_of_library.toml").read_text(encoding="utf-8")
+    fault = fault_of(load_library, edited(tmp_path / "old.toml", text, ('units = "newton and meter"\n', "")))
+    assert "does not say in which units alpha and beta are" in fault
+    assert "take `porcine`, or state alpha_pa and beta_per_strain" in fault
+    assert 'add units = "newton and meter"' in fault
+
+
+@pytest.mark.parametrize(
+    ("units", "says"), [("", "does not say in which units"), ('units = "psi"', "units: Input should")]
+)
+def test_missing_or_misspelled_units_are_the_only_fault_that_is_told(units: str, says: str) -> None:
+    text = (CONFIG_DIR / "tissues/porcine.toml").read_text(encoding="utf-8")
+    with pytest.raises(ConfigurationError) as refused:
+        parse_file(text.replace('units = "pascal and strain"', units), TissueLibrary, "a text")
+    [fault] = list_faults(refused.value, "a text")
+    assert says in fault
+
+
+def test_a_text_may_begin_with_a_byte_order_mark() -> None:
+    text = (CONFIG_DIR / "protocols/trapezoid_2hz.toml").read_text(encoding="utf-8")
+    assert parse_file(f"\ufeff{text}", GraspProtocol, "a text") == load_grasp_protocol("trapezoid_2hz")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            "alpha_pa = 849.2",
+            "alpha_pa = 849.2\nalpha_n = 0.8492",
+            "liver: alpha_n and beta_per_m are not the 0.04781 N",
+        ),
+        ("beta_per_strain = 14.32", "beta_per_m = 1909.333333333", "liver: a library in pascal and strain states"),
+        ("alpha_pa = 849.2", "", "liver: a library in pascal and strain states alpha_pa"),
+        ("preload_n = [0.01, 0.05]", "preload_n = [0.05, 0.01]", "its lower end first"),
+    ],
+)
+def test_parameters_that_contradict_each_other_or_are_missing_are_faults(
+    tmp_path: Path, old: str, new: str, says: str
+) -> None:
+    text = (CONFIG_DIR / "tissues/porcine.toml").read_text(encoding="utf-8")
+    assert says in fault_of(load_library, edited(tmp_path / "library.toml", text, (old, new)))
+
+
 def test_a_simulated_grasper_can_hold_more_than_the_library_has() -> None:
     library = load_library("porcine")
     wider = build_graspable_library(library)
-    assert set(wider.tissues) == set(library.tissues) | set(load_library("strangers").tissues)
+    assert set(wider.tissues) == set(library.tissues) | set(load_library("out_of_library").tissues)
     assert all(wider.tissues[name] == profile for name, profile in library.tissues.items())
-    assert wider.spread_of("spleen") == load_library("strangers").spread_of("spleen")
+    assert wider.spread_of("spleen") == load_library("out_of_library").spread_of("spleen")
 
 
-@pytest.mark.parametrize("name", list_shipped_names("tools"))
-def test_every_tool_has_the_papers_geometry_and_calibration(name: str) -> None:
+@pytest.mark.parametrize("name", ["nidaq", "simulated", "smart_tool_2013", "smart_tool_2013_eq2"])
+def test_every_smart_tool_has_the_papers_geometry_and_calibration(name: str) -> None:
     tool = load_tool(name)
     calibration, geometry = tool.calibration, tool.geometry
     millimetres = [geometry.r_pp_m, geometry.a_m, geometry.l0_m, geometry.l1_m, geometry.l2_m, geometry.l_jaw_m]
@@ -148,6 +228,59 @@ def test_command_and_force_maps_undo_each_other_and_pass_the_papers_points(comma
     slope_n_per_v = (1.55 - 0.8) / 1.5
     if command_v > 0.5:  # the last line goes on beyond its end
         assert float(mapping.to_force_n(command_v)) == pytest.approx(0.8 + slope_n_per_v * (command_v - 0.5), rel=1e-12)
+
+
+# --- own files of the data folder ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", FileKind)
+def test_an_own_file_is_chosen_by_its_name_and_a_shipped_one_comes_first(kind: FileKind, tmp_path: Path) -> None:
+    load, shipped = LOADERS[kind.folder], list_shipped_names(kind.folder)[0]
+    text = (CONFIG_DIR / kind.folder / f"{shipped}.toml").read_text(encoding="utf-8")
+    folder = tmp_path / kind.folder
+    folder.mkdir()
+    own = edited(folder / "mine.toml", text, (f'name = "{shipped}"', 'name = "mine"'))
+    assert (load("mine", tmp_path).name, find_file("mine", kind, str(tmp_path))) == ("mine", own)
+    assert list_names(kind, tmp_path) == sorted([*list_shipped_names(kind.folder), "mine"])
+    with pytest.raises(ConfigurationError, match="'mine'"):
+        load("mine")  # without the data folder there is no such name
+    (folder / f"{shipped}.toml").write_text("no file at all")
+    assert load(shipped, tmp_path) == load(shipped)
+    with pytest.raises(ConfigurationError, match=r"there is a shipped .*Rename the file"):
+        load_own_file(edited(folder / f"{shipped}.toml", text), kind)
+    (folder / ".hidden.toml").write_text(text)
+    (folder / "faulty.toml").write_text("name = ")
+    assert "is not valid TOML" in fault_of(load, "faulty", tmp_path)
+    assert {"hidden", ".hidden"}.isdisjoint(list_names(kind, tmp_path))
+
+
+def test_an_own_file_has_the_name_that_stands_in_it_but_calibrations_add_their_day(tmp_path: Path) -> None:
+    for folder, name, other in (
+        ("protocols", "sine", "renamed"),
+        ("tissues", "porcine", "renamed"),
+        ("tools", "simulated", "simulated-2026-11-30"),
+    ):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / f"{other}.toml").write_text((CONFIG_DIR / folder / f"{name}.toml").read_text())
+    for load in (load_grasp_protocol, load_library):
+        assert "Give both the same name" in fault_of(load, "renamed", tmp_path)
+    assert load_tool("simulated-2026-11-30", tmp_path).name == "simulated"
+
+
+def test_a_text_is_checked_as_a_file_with_one_message_for_each_fault() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_file('name = "A B"\ntitle = "x"\n[waveform]\nshape = "sine"', GraspProtocol, "protocol")
+    faults = list_faults(caught.value, "protocol")
+    assert len(faults) == 6
+    assert not any(fault.startswith("protocol") for fault in faults)
+
+
+@pytest.mark.parametrize(
+    ("key", "differs"), [("calibration", []), ("geometry", []), ("noise", []), ("limits", ["limits"])]
+)
+def test_only_constants_of_a_calibration_may_differ(tool: Tool, key: str, differs: list[str]) -> None:
+    other = tool.model_copy(update={key: None})
+    assert tool.find_differences_beside_constants(other) == differs
 
 
 # --- files with faults -----------------------------------------------------------------------------------------------
@@ -182,7 +315,7 @@ def test_all_faults_of_a_file_are_told_at_once_each_with_its_place(tmp_path: Pat
     ("load", "shipped", "right", "wrong"),
     [
         (load_grasp_protocol, "protocols/trapezoid_2hz", "peak_v", "peak_mv"),
-        (load_library, "tissues/porcine", "beta_per_m", "beta_per_mm"),
+        (load_library, "tissues/porcine", "beta_per_strain", "beta_strain"),
         (load_tool, "tools/nidaq", "force_ceiling_n", "force_ceiling"),
         (lambda path: load_settings(Path(path)), "graspwatch", "frame_rate_hz", "framerate_hz"),
     ],
@@ -245,7 +378,7 @@ def test_a_waveform_that_is_none_is_refused_with_what_it_lacks(tmp_path: Path, t
         (("force_n = [0.0, 0.8, 1.55]", "force_n = [0.0, 0.8]"), "same number of points"),
         (("force_n = [0.0, 0.8, 1.55]", "force_n = [0.0, 0.8, 0.8]"), "rise strictly"),
         (("command_v = [0.0, 0.5, 2.0]", "command_v = [0.1, 0.5, 2.0]"), "begin at 0"),
-        (('kind = "simulated"', 'kind = "real"'), "'simulated', 'nidaq' or 'recording'"),
+        (('kind = "simulated"', 'kind = "real"'), "'serial' or 'recording'"),
     ],
 )
 def test_a_tool_whose_parts_contradict_each_other_is_refused(
@@ -319,6 +452,38 @@ def test_a_binary_or_wrongly_encoded_file_is_told(tmp_path: Path, content: bytes
     path = tmp_path / "p.toml"
     path.write_bytes(content)
     assert fault_of(load_grasp_protocol, path).startswith(f"{path}: cannot be read as a text file")
+
+
+def test_a_byte_order_mark_is_no_content(tmp_path: Path) -> None:
+    """Editors on Windows write one; a calibrated copy of such a tool file has none."""
+    for folder, name in (("tools", "simulated"), ("tissues", "porcine"), ("protocols", "trapezoid_2hz")):
+        path = tmp_path / f"{name}.toml"
+        path.write_bytes(codecs.BOM_UTF8 + (CONFIG_DIR / folder / f"{name}.toml").read_bytes())
+        assert LOADERS[folder](str(path)) == LOADERS[folder](name)
+    calibrated = write_calibrated_tool(
+        str(tmp_path / "simulated.toml"), {"calibration.newton_per_volt": 5.0}, (), date(2026, 11, 30), tmp_path
+    )
+    assert not calibrated.read_bytes().startswith(codecs.BOM_UTF8)
+
+
+def test_a_tilde_in_a_file_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    path = tmp_path / "settings.toml"
+    path.write_text(
+        'data_folder = "~/data"\ntool = "~/mine.toml"\nlibrary = "~/mine.toml"\n[server]\n'
+        'tls_cert = "~/cert.pem"\ntls_key = "~/key.pem"\n'
+    )
+    settings = load_settings(path)
+    named = (settings.data_folder, settings.tool, settings.library, settings.server.tls_cert, settings.server.tls_key)
+    assert all(str(each).startswith(f"{tmp_path}/") for each in named)
+    shipped = (CONFIG_DIR / "tools/simulated.toml").read_text()
+    keys = 'grpc_address = "board:31763"\ngrpc_ca = "~/ca.pem"\ngrpc_cert = "~/c.pem"\ngrpc_key = "~/k.pem"\n'
+    (tmp_path / "mine.toml").write_text(shipped.replace("[board]\n", f"[board]\n{keys}", 1))
+    board = load_tool("~/mine.toml").board
+    assert (board.grpc_ca, board.grpc_key) == (f"{tmp_path}/ca.pem", f"{tmp_path}/k.pem")
+    path.write_text('data_folder = "~nobody-of-this-name/data"\n')
+    with pytest.raises(ConfigurationError, match="there is no such home folder"):
+        load_settings(path)
 
 
 def test_a_folder_is_no_file(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.sample_block import SAMPLE_DTYPE, field_names
+from acquisition.sample_block import SAMPLE_DTYPE, dtype_field_names
 from config.errors import ConfigurationError
 from config.load import CONFIG_DIR, load_library
 from config.tissue_names import COLUMN_NAMES, MAX_LENGTH, check_tissue_names, find_name_fault, normalize_tissue_name
@@ -21,7 +21,7 @@ typed = st.text("abz01_ -AÄ", min_size=1, max_size=MAX_LENGTH + 3)
 def column_names(tissues: list[str]) -> list[str]:
     """All columns of an export of samples with these tissues."""
     estimated = [column.path.replace(".", "_") for column in estimate_layout(tissues).columns if column.path != "tick"]
-    return ["time_s", "utc_ns", *field_names(SAMPLE_DTYPE), *estimated]
+    return ["time_s", "utc_ns", *dtype_field_names(SAMPLE_DTYPE), *estimated]
 
 
 @settings(deadline=None)

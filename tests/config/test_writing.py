@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from config.errors import ConfigurationError
-from config.load import find_tool_file, load_tool
+from config.load import FileKind, find_file, load_tool
 from config.schema import ConstantMeasurement
 from config.writing import write_calibrated_tool
 
@@ -39,7 +39,7 @@ def write(into: Path, tool: str = "nidaq", value: float = 12.3456789) -> Path:
 def test_only_what_was_measured_is_another(tmp_path: Path) -> None:
     path = write(tmp_path)
     assert path.name == "nidaq-2026-11-28.toml"
-    old, new = tomllib.loads(find_tool_file("nidaq").read_text()), tomllib.loads(path.read_text())
+    old, new = tomllib.loads(find_file("nidaq", FileKind.TOOL).read_text()), tomllib.loads(path.read_text())
     assert new["calibration"].pop("newton_per_volt") == 12.3457
     assert new["geometry"].pop("opening_m") == 0.0102
     [how] = new["calibration"].pop("measured")
@@ -47,7 +47,7 @@ def test_only_what_was_measured_is_another(tmp_path: Path) -> None:
     assert how["expires"] == datetime.date(2027, 2, 26)
     del old["calibration"]["newton_per_volt"]
     assert new == old
-    comments = [line.partition("#")[2] for line in find_tool_file("nidaq").read_text().splitlines()]
+    comments = [line.partition("#")[2] for line in find_file("nidaq", FileKind.TOOL).read_text().splitlines()]
     assert all(comment in path.read_text() for comment in comments)
 
 
@@ -72,7 +72,7 @@ def expired(path: Path, day: datetime.date) -> list[str]:
 def test_a_tare_leaves_an_expired_gain_expired_and_says_when_each_was_measured(tmp_path: Path) -> None:
     """Also where the old file states one day for all constants."""
     old = tmp_path / "old.toml"
-    text = find_tool_file("nidaq").read_text()
+    text = find_file("nidaq", FileKind.TOOL).read_text()
     old.write_text(text.replace('person = "paper"', 'person = "paper"\nexpires = 2026-11-01', 1))
     others = ["newton_per_volt", "encoder_deg_per_volt", "handle_per_encoder", "jaw_force_scale"]
     assert set(expired(old, DAY)) == {*others, "rest_offset_v", "strain_sd_v"}

@@ -16,6 +16,8 @@ import yaml
 from scripts import load
 from service import until
 
+from app.host.process_end import ENDING_SIGNALS
+
 CHECKOUT = Path(__file__).parents[2]
 DEPLOY = CHECKOUT / "deploy"
 SMALL_PATH = "/usr/sbin:/sbin"  # neither Node nor a compiler nor Python
@@ -67,7 +69,7 @@ def installed(image: Path) -> Iterator[tuple[Path, str]]:
         assert found, process.communicate()[1]
         yield programs, found[0]
         process.terminate()
-        assert process.wait(15) in (0, -signal.SIGTERM)
+        assert process.wait(15) == 128 + signal.SIGTERM
 
 
 @pytest.mark.long
@@ -86,7 +88,9 @@ def test_the_wheel_serves_the_dashboard_and_a_run_from_an_empty_environment(inst
     run = httpx.post(f"{url}/api/runs", json={"protocol": "trapezoid_4hz", "cycles": 2, "tissue": "liver"}).json()
     until(lambda: httpx.get(f"{url}/api/runs/{run['id']}").json()["state"] == "finished")
     assert len(httpx.get(f"{url}/api/runs/{run['id']}/grasps").json()) == 2
-    assert httpx.get(f"{url}/api/recordings/{run['id']}.mcap/report").status_code in (200, 202)
+    report = f"{url}/api/recordings/{run['id']}.mcap/report"
+    assert httpx.get(report).status_code in (200, 202)
+    until(lambda: httpx.get(report).status_code == 200, 60.0)
 
 
 @pytest.mark.long
@@ -133,6 +137,13 @@ def test_the_container_settings_are_good() -> None:
 
     settings = load_settings(DEPLOY / "graspwatch.toml")
     assert (settings.server.host, settings.logs.format.value) == ("0.0.0.0", "json")
+
+
+def test_systemd_takes_an_end_by_a_signal_for_a_success() -> None:
+    """Otherwise `systemctl stop` leaves the unit failed, and a plain kill starts the service again."""
+    unit = (DEPLOY / "systemd/graspwatch.service").read_text()
+    [codes] = re.findall(r"^SuccessExitStatus=(.*)$", unit, re.MULTILINE)
+    assert {128 + number for number in (*ENDING_SIGNALS, signal.SIGINT)} == set(map(int, codes.split()))
 
 
 @pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd is not on this machine")

@@ -69,6 +69,9 @@ def test_a_measured_force_scale_is_in_the_new_tool_file_with_its_interval_and_ex
     assert scale.low < CALIBRATION.jaw_force_scale.value < scale.high
     assert (scale.date, scale.expires) == (date.today(), date.today() + timedelta(days=90))
     assert "a test" in scale.source
+    kept = service.http.delete(f"/api/configuration/tool/{Path(result['file']).stem}")
+    assert (kept.status_code, "The next calibration builds on this" in kept.json()["detail"]) == (409, True)
+    assert Path(result["file"]).is_file()
 
 
 def test_a_stop_ends_a_reading_that_moves_and_it_may_be_repeated(service: Service) -> None:

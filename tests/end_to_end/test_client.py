@@ -15,7 +15,7 @@ from service import Service
 
 from app.messages.alarms import Alarm
 from app.messages.grasps import GraspEnded, Identification
-from app.messages.live import EventMessage, Hello
+from app.messages.live import EventMessage, Hello, State
 from app.messages.people import Role
 from app.messages.runs import RunState
 from app.people import tokens
@@ -122,11 +122,14 @@ def test_a_start_with_a_key_is_carried_out_once(service: Service) -> None:
 
 def test_a_program_that_lost_the_stream_goes_on_where_it_was(service: Service) -> None:
     async def events(tool: Graspwatch, after: int | None, last: str) -> AsyncGenerator[int, None]:
-        """Yield the numbers of events up to one whose text begins with `last`."""
+        """Yield the numbers of events up to one whose text begins with `last`, without those from before."""
+        in_step = after is not None
         async for message in tool.messages(frames=False, after=after):
             if isinstance(message, Hello):
                 assert message.resumed is (None if after is None else True)
-            if isinstance(message, EventMessage | GraspEnded | Alarm) and message.number:
+            if isinstance(message, State) and message.event_number:
+                in_step = True
+            if isinstance(message, EventMessage | GraspEnded | Alarm) and message.number and in_step:
                 yield message.number
                 if isinstance(message, EventMessage) and message.text.startswith(last):
                     return
@@ -139,7 +142,8 @@ def test_a_program_that_lost_the_stream_goes_on_where_it_was(service: Service) -
             seen.append(await anext(watching))
             line.cut()
             with pytest.raises(ConnectionLostError) as lost:
-                seen.extend([number async for number in watching])
+                async for number in watching:
+                    seen.append(number)  # noqa: PERF401  a comprehension would lose them
             assert lost.value.last_event == seen[-1]
             await other.finished(await start, 20)
             line.mend()
@@ -218,3 +222,22 @@ def test_with_tokens_and_tls_a_program_is_somebody(tmp_path: Path) -> None:
 
     with Service("serve", "--tls-cert", str(cert), "--tls-key", str(key), data=tmp_path, trust=trust) as running:
         run(program(running))
+
+
+def test_a_new_spot_begins_by_request_and_is_refused_without_a_run(service: Service) -> None:
+    async def program() -> tuple[str, Identification]:
+        async with Graspwatch(service.url) as tool:
+            with pytest.raises(RefusedError) as refused:
+                await tool.begin_spot()
+            async with tool.running("trapezoid_4hz", cycles=4, tissue="bladder"):
+                async for answer in tool.live():
+                    if answer.grasp == 2 and answer.in_grasp and len(answer.spots) == 1:
+                        await tool.begin_spot()
+                    if len(answer.spots) > 1 and answer.spots[-1].grasps:
+                        return str(refused.value), answer
+        raise AssertionError("the stream ended")
+
+    why, answer = run(program())
+    assert "Each run begins a new spot" in why
+    first, second = answer.spots
+    assert (first.grasps, second.grasps) == ((1, 2), (3,))  # the grasp under way belonged to the spot before

@@ -43,6 +43,22 @@ def open_service(data, token, tmp_path_factory):
         yield running
 
 
+opened_clients: list[httpx.Client] = []
+
+
+def open_client(**options) -> httpx.Client:
+    """Open a client that is closed after the test."""
+    opened_clients.append(httpx.Client(**options))
+    return opened_clients[-1]
+
+
+@pytest.fixture(autouse=True)
+def _close_clients():
+    yield
+    while opened_clients:
+        opened_clients.pop().close()
+
+
 @pytest.fixture
 def service(open_service, token):
     """With nothing under way and nobody in control."""
@@ -61,7 +77,7 @@ def somebody(service, data):
     def come(name, role):
         given.append(name)
         headers = bearer(tokens.add_token(data, name, role))
-        return httpx.Client(base_url=service.url, headers=headers, timeout=5.0)
+        return open_client(base_url=service.url, headers=headers, timeout=5.0)
 
     yield come
     for name in given:
@@ -80,7 +96,7 @@ def journal(service, token):
 
 def signed_in(service, token):
     """A browser's calls; it says from which page it asks."""
-    browser = httpx.Client(base_url=service.url, headers={"Origin": service.url}, timeout=5.0)
+    browser = open_client(base_url=service.url, headers={"Origin": service.url}, timeout=5.0)
     assert browser.post("/api/session", json={"token": token}).status_code == 200
     return browser
 
@@ -180,7 +196,7 @@ def test_no_name_leads_out_of_the_data_folder(service, token, data):
 
 
 def test_a_browser_signs_in_and_out(service, token):
-    browser = httpx.Client(base_url=service.url, headers={"Origin": service.url})
+    browser = open_client(base_url=service.url, headers={"Origin": service.url})
     assert browser.post("/api/session", json={"token": "wrong"}).status_code in (401, 429)
     response = browser.post("/api/session", json={"token": f" {token[Role.OPERATOR]}\n"})
     assert response.json() == {"needed": True, "name": "Otto", "role": "operator"}

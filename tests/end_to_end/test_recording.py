@@ -29,17 +29,6 @@ def service():
         yield running
 
 
-def file_of(service: Service, run_id: str) -> Path:
-    return service.data / "recordings" / f"{run_id}.mcap"
-
-
-def recorded(service: Service, run_id: str) -> Path:
-    """The run's file once it is whole."""
-    path = file_of(service, run_id)
-    until(lambda: path.exists() and McapFile(path).complete)
-    return path
-
-
 def recording_state(service: Service) -> dict:
     with Listener(service) as listener:
         listener.listen(lambda: listener.of("state"))
@@ -52,7 +41,7 @@ def test_a_run_is_recorded_from_before_its_beginning_and_replays_bit_for_bit(ser
         run = service.run(protocol="trapezoid_2hz", cycles=2, tissue="bladder", by="Ada")
         listener.listen(lambda: any((m["recording"] or {}).get("file") for m in listener.of("state")))
         listener.listen(lambda: len([m for m in listener.of("grasp") if m["run_id"] == run["id"]]) == 2)
-        path = recorded(service, run["id"])
+        path = service.recorded(run["id"])
         told = [m["grasp"] for m in listener.of("grasp") if m["run_id"] == run["id"]]
     kept = read_run(path)
     ticks, begins = kept.samples["tick"], int(kept.metadata["run_first_tick"])
@@ -78,7 +67,7 @@ def test_the_second_run_does_not_depend_on_the_first(service: Service) -> None:
     for _ in range(2):
         run = service.run(protocol="trapezoid_2hz", cycles=1, tissue="gallbladder")
         service.finished(run["id"])
-        runs.append(recorded(service, run["id"]))
+        runs.append(service.recorded(run["id"]))
     for path in runs:
         recording = RecordingSource(path, RIG)
         report = replay_recording(recording, RecordingContext.from_recording(recording.mcap_file), lambda _: None)
@@ -88,7 +77,7 @@ def test_the_second_run_does_not_depend_on_the_first(service: Service) -> None:
 
 def test_a_killed_recorder_loses_less_than_a_second_and_the_run_goes_on(service: Service) -> None:
     run = service.run(protocol="trapezoid_2hz", cycles=9, tissue="liver")
-    path = file_of(service, run["id"])
+    path = service.recording_file(run["id"])
     until(lambda: recording_state(service)["samples"] > 6_500)
     before = recording_state(service)["samples"]
     os.kill(service.worker("recorder"), signal.SIGKILL)
@@ -125,13 +114,13 @@ def test_a_full_disk_ends_the_recording_with_an_alarm_and_not_the_run(service: S
         assert service.finished(run["id"])["state"] == "finished"
     finally:
         resource.prlimit(recorder, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    path = file_of(service, run["id"])
+    path = service.recording_file(run["id"])
     assert path.stat().st_size <= limit
     assert len(read_run(path).samples) > 5_500
     assert recover_file(path)
     following = service.run(protocol="trapezoid_2hz", cycles=1, tissue="liver")
     service.finished(following["id"])
-    recorded(service, following["id"])
+    service.recorded(following["id"])
     assert recording_state(service)["problem"] is None
 
 
@@ -143,7 +132,7 @@ def test_with_too_little_room_a_run_is_not_recorded_and_says_so(tmp_path: Path) 
         said = f"Run {run['id']} is not recorded"
         listener.listen(lambda: any(m["text"].startswith(said) for m in listener.of("alarm")))
         assert service.finished(run["id"])["state"] == "finished"
-        assert not file_of(service, run["id"]).exists()
+        assert not service.recording_file(run["id"]).exists()
 
 
 def indexed(data: Path) -> dict[str, list[tuple]]:
@@ -162,7 +151,7 @@ def test_the_end_of_the_service_makes_the_file_whole_and_the_index_can_be_rebuil
         run = service.run(protocol="trapezoid_2hz", cycles=20, tissue="liver")
         until(lambda: recording_state(service)["samples"] > 6_000)
         service.end()
-        container = McapFile(file_of(service, run["id"]))
+        container = McapFile(service.recording_file(run["id"]))
         assert container.complete
         assert len(read_run(container.path).samples) > 6_000
         live = indexed(service.data)

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from service import Listener, Service, until
-from simulation import joined, simulate_raw, write_lvm
+from simulation import joined, simulate_raw, simulated_recording_tool, write_lvm
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -30,7 +30,7 @@ LIVE, HISTORY = 0, 1
 def service():
     with Service("serve") as running:
         folder = running.data / "recordings"
-        raw = joined(simulate_raw("bladder", cycles=CYCLES))
+        raw = joined(simulate_raw("bladder", cycles=CYCLES, tool=simulated_recording_tool()))
         write_lvm(folder / NAME, raw)
         lines = write_lvm(folder / "whole.lvm", raw).read_text().splitlines()
         (folder / "whole.lvm").unlink()
@@ -284,6 +284,8 @@ def test_recordings_named_on_the_command_line_are_served_without_a_tool(tmp_path
     asked = "--serve", "--tool", "nidaq", "--config", str(tmp_path / "few.toml")
     with Service("replay", str(path), *asked) as running:
         assert running.http.get("/api/health").json()["detail"] == "replay"
+        assert running.printed_address.endswith("/recordings/short.lvm")  # the page of this recording's replay
+        assert "<title>Graspwatch</title>" in running.http.get("/recordings/short.lvm").text
         stopped = running.http.post("/api/stop")
         assert (stopped.status_code, stopped.json()["stopped"]) == (200, False)
         assert running.http.post("/api/runs", json={"protocol": "sine"}).status_code == 409

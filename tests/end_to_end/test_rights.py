@@ -11,11 +11,17 @@ from schemathesis import GenerationMode
 from service import Service
 
 from app.messages.people import Role
+from config.load import CONFIG_DIR
 
 EXAMPLES = {GenerationMode.POSITIVE: 6, GenerationMode.NEGATIVE: 4}
 CAN_BE_WRONG = 15  # operations that take something which can be wrong
 UNKNOWN, FORBIDDEN = 401, 403
 NO_JSON = 400, 422  # what is none at all is refused before the role is looked at
+
+ADMINS_KINDS = {  # a tool file decides forces and limits
+    ("POST", "/api/configuration/{kind}", "tool"): Role.ADMIN,
+    ("DELETE", "/api/configuration/{kind}/{name}", "tool"): Role.ADMIN,
+}
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +65,20 @@ def test_nobody_breaks_anything_or_does_what_he_may_not(service, token, operatio
     assert service.ready()
 
 
+def test_operators_save_and_delete_files_but_only_admins_tool_files(service, token):
+    for kind, folder, name in (("protocol", "protocols", "sine"), ("tool", "tools", "simulated")):
+        text = (CONFIG_DIR / folder / f"{name}.toml").read_text().replace(f'name = "{name}"', 'name = "mine"', 1)
+        for role in Role:
+            may = role is Role.ADMIN or (role is Role.OPERATOR and kind == "protocol")
+            headers, path = bearer(token[role]), f"/api/configuration/{kind}"
+            saved = service.http.post(path, json={"text": text}, headers=headers)
+            assert saved.status_code == (201 if may else FORBIDDEN), (kind, role)
+            deleted = service.http.delete(f"{path}/mine", headers=headers)
+            assert deleted.status_code == (200 if may else FORBIDDEN), (kind, role)
+
+
 def check(operation, mode, role, url, headers):
-    needed = RIGHTS[operation.method.upper(), operation.path]
-    may = needed is None or (role is not None and role.includes(needed))
+    least = RIGHTS[operation.method.upper(), operation.path]
 
     @settings(
         max_examples=EXAMPLES[mode],
@@ -73,6 +90,8 @@ def check(operation, mode, role, url, headers):
     )
     @given(case=operation.as_strategy(mode))
     def answered(case):
+        needed = ADMINS_KINDS.get((operation.method.upper(), operation.path, case.path_parameters.get("kind")), least)
+        may = needed is None or (role is not None and role.includes(needed))
         response = case.call(base_url=url, headers=headers, allow_redirects=False)
         said = f"{case.as_curl_command()}: {response.status_code} {response.text[:300]}"
         assert response.status_code < 500, said

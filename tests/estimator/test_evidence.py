@@ -171,5 +171,5 @@ def test_a_measured_thickness_speaks_for_the_tissue_that_has_it():
 def test_all_filters_diverged_means_unknown():
     bank = after_ramp(LIBRARY, 1.0, 5e-4)
     bank.state.valid[:] = False
-    assert bank.find_most_likely() == -1
+    assert bank.find_likeliest_filter() == -1
     assert evidence_of(bank).probabilities()[-1] == 1.0

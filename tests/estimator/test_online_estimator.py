@@ -52,12 +52,16 @@ def test_names_the_tissue_of_simulated_grasps(tissue, protocol):
 
 
 @pytest.mark.parametrize("tissue", list(LIBRARY.tissues))
-def test_names_it_too_where_contact_is_not_sensed(tissue):
+def test_finds_it_likeliest_too_where_contact_is_not_sensed(tissue):
     blind = without_touch(TOOL)
-    samples = held_in(tissue, seed=5, cycles=8, tool=blind)
-    assert not (samples["flags"] & SampleFlag.CONTACT_SENSED).any()
-    records, _ = estimated(samples, tool=blind)
-    assert most_named(records) == tissue
+    records = []
+    for seed in range(8):
+        samples = held_in(tissue, seed=seed, cycles=1, tool=blind)
+        assert not (samples["flags"] & SampleFlag.CONTACT_SENSED).any()
+        records += estimated(samples, tool=blind)[0]
+    likeliest = [max(record.probabilities.items(), key=lambda each: each[1])[0] for record in records]
+    assert likeliest.count(tissue) > len(records) / 2
+    assert {record.label for record in records} <= {tissue, UNDECIDED}
 
 
 @pytest.mark.parametrize("size", [10, 100])
@@ -102,6 +106,34 @@ def test_the_record_measures_the_grasp():
     assert record.peak_displacement_m == pytest.approx(expected_m, rel=0.05)
     assert record.convergence_s["gallbladder"] < 0.4  # the paper's filter from a close guess: 0.369 s
     assert abs(record.force_error_n["gallbladder"]) < 0.05
+
+
+def test_the_fit_of_each_filter_is_told_while_tissue_is_held():
+    """A bladder is far from all other tissues: its own filter fits, and no filter shows a force that is not there."""
+    samples = held_in("bladder")
+    blocks, _ = answered(samples)
+    rows = np.concatenate([block.estimates for block in blocks])
+    own = list(LIBRARY.tissues).index("bladder")
+    held = np.flatnonzero(np.isfinite(rows["nis"][:, own]))
+    assert np.isnan(rows["nis"][samples["contact_tick"] < 0]).all()
+    # means over 20 samples: chi-square of about 39 effective samples, 99.9 % of them below 2
+    assert np.mean(rows["nis"][held, own] < 2.0) > 0.97
+    peak_n = np.fmax.accumulate(samples["jaw_force_n"])[:, None]
+    assert not (rows["force_n"] > 2 * peak_n + 0.5).any()
+    told = [block.identification.nis for block in blocks if block.identification.grasp]
+    assert all(set(nis) == set(LIBRARY.tissues) for nis in told)
+    assert told[-1]["bladder"] == rows["nis"][held[-1], own]
+
+
+def test_a_filter_that_has_lost_the_grasp_is_told_and_has_no_force_error():
+    """The jaws jump by 5 mm under a steady force, which no tissue of the library does."""
+    samples = held_in("liver")
+    jump = int(np.flatnonzero(samples["contact_tick"] >= 0)[150])
+    samples["jaw_displacement_m"][jump:] += 5e-3 * (np.arange(len(samples) - jump) // 20 % 2)
+    blocks, (record,) = answered(samples)
+    lost = [nis for block in blocks for nis in block.identification.nis.values()]
+    assert max(nis for nis in lost if nis is not None) >= 50.0
+    assert all(error is None or abs(error) < 10.0 for error in record.force_error_n.values())
 
 
 def test_a_slipping_encoder_is_not_believed():

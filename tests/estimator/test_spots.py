@@ -93,10 +93,10 @@ def bank_evidence(seed=0):
 def test_with_filters_one_grasp_makes_the_spots_answer_and_more_make_it_surer_within_the_prior():
     evidence = bank_evidence()
     one = evidence.measure_likelihood()
-    assert evidence.combine([]) == pytest.approx(evidence.prior)
+    assert evidence.combine_grasps([]) == pytest.approx(evidence.prior)
     # each grasp scatters about its spot, and the spot's spread is as much smaller: together the grasp's own spread
-    assert evidence.combine([one]) == pytest.approx(evidence.probabilities(), abs=1e-6)
-    many, more = evidence.combine([one] * 20), evidence.combine([one] * 2000)
+    assert evidence.combine_grasps([one]) == pytest.approx(evidence.probabilities(), abs=1e-6)
+    many, more = evidence.combine_grasps([one] * 20), evidence.combine_grasps([one] * 2000)
     assert more == pytest.approx(many, abs=0.02)  # the limit is the spread of specimens
 
 
@@ -108,6 +108,14 @@ def samples():
 def spots_of(samples, settings=SETTINGS):
     blocks, _ = processed(TissueEstimator(TOOL, LIBRARY, settings), samples, by(samples, 5))
     return blocks[-1].identification.spots
+
+
+@pytest.mark.parametrize("tissue", list(LIBRARY.tissues))
+def test_the_verdict_after_a_simulated_grasp_is_that_grasps_answer(tissue):
+    held = conditioned(TOOL, LIBRARY, SETTINGS, FAST, tissue, seed=3, cycles=1)[0]
+    blocks, [record] = processed(TissueEstimator(TOOL, LIBRARY, SETTINGS), held, by(held, 5))
+    (spot,) = blocks[-1].identification.spots
+    assert spot.probabilities == pytest.approx(record.probabilities, abs=1e-3)
 
 
 def test_grasps_of_a_run_are_one_spot_unless_told_otherwise(samples):

@@ -14,7 +14,7 @@ from faulty import LIBRARY, PROTOCOL, SETTINGS, TOOL
 
 from acquisition import bus
 from acquisition.acquisition_loop import AcquisitionController
-from acquisition.bench.jitter import cpu_load
+from acquisition.bench.jitter import keep_cores_busy
 from acquisition.drivers.nidaq import NidaqSource
 from acquisition.notices import Estimating
 from acquisition.safety_state_machine import Safety
@@ -167,7 +167,7 @@ def repeated(blocks: list[SampleBlock], number: int) -> Iterator[SampleBlock]:
 @pytest.mark.parametrize("busy", [False, pytest.param(True, marks=pytest.mark.long)], ids=["alone", "busy machine"])
 def test_a_backlog_of_half_a_minute_is_worked_off_without_a_loss(blocks, tmp_path, busy):
     backlog = list(repeated(blocks, HALF_A_MINUTE))
-    with running(tmp_path) as estimator, cpu_load(busy):
+    with running(tmp_path) as estimator, keep_cores_busy(busy):
         assert estimator.estimate_backlog(backlog) == (HALF_A_MINUTE, 0)
 
 

@@ -74,6 +74,9 @@ class GuardedTool:
         self._server.stop(0.2).wait()
 
 
+pytestmark = pytest.mark.alone  # reaction times are judged
+
+
 @pytest.fixture
 def tool(tmp_path):
     tool = GuardedTool(tmp_path)

@@ -162,7 +162,7 @@ def test_the_self_test_refuses_to_arm_a_broken_tool_and_says_why(fault, why):
 
 def test_a_gage_that_rests_elsewhere_since_the_last_run_is_a_fault_until_the_tool_is_armed_anew(monkeypatch):
     """By more than a grasp may leave behind, and less than the self-test refuses: arming takes a new tare."""
-    monkeypatch.setattr(faults, "JUMP_V", 0.04)
+    monkeypatch.setattr(faults, "JUMP_V", 0.035)
     bench = Bench("bladder", cycles=1).play().rest(100)
     acquisition = bench.acquisition
     assert acquisition.safety is Safety.ARMED

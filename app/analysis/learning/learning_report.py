@@ -1,4 +1,4 @@
-"""The report of a learned library: confusion, reliability, time to decision, and training recordings."""
+"""The function that builds a learned library's report: confusion, reliability, time to decision, recordings."""
 
 from collections.abc import Sequence
 

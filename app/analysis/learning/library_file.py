@@ -1,4 +1,4 @@
-"""The file of a learned library."""
+"""Functions for the file of a learned library: whether it can be written, and its text."""
 
 import tempfile
 from pathlib import Path
@@ -29,5 +29,5 @@ def check_writable(path: Path) -> None:
 
 
 def library_to_toml(library: TissueLibrary) -> str:
-    """Convert a library to the TOML text of its file."""
+    """Return the TOML text of a library's file."""
     return tomlkit.dumps(library.model_dump(mode="json", exclude_none=True))

@@ -1,4 +1,4 @@
-"""The page of `graspwatch study spots`: how right a learned library is on spots that it was not learned from."""
+"""The function that builds the page of `graspwatch study spots`: accuracy on spots that were not learned from."""
 
 from collections.abc import Sequence
 
@@ -27,7 +27,7 @@ Log loss has a floor of 0.001 for the probability of the truth. Times count from
 
 
 def build_spot_study(
-    spots: Sequence[RecordingResult], strangers: Sequence[RecordingResult], settings: dict[str, str]
+    spots: Sequence[RecordingResult], left_out: Sequence[RecordingResult], settings: dict[str, str]
 ) -> StudyResult:
     """Build the study's page from the results with each recording, and with each tissue, left out."""
     study = StudyResult("spots", "How right on spots that were not learned", settings, EXPLANATION)
@@ -37,7 +37,7 @@ def build_spot_study(
         study.figures += _build_spot_figures(spots)
     else:
         study.figures.append(KeyFigure("recordings of a tissue that has another one", 0))
-    others = [answer for result in strangers for answer in result.grasps if answer.label != NO_ANSWER]
+    others = [answer for result in left_out for answer in result.grasps if answer.label != NO_ANSWER]
     if others:
         named = sum(each.label not in (*NOT_NAMED, UNKNOWN) for each in others)
         study.figures.append(
@@ -46,7 +46,7 @@ def build_spot_study(
     study.parts += [_build_file_table(spots), _build_course_table(spots), _build_spot_table(spots)]
     study.parts.append(_build_confusion_table("Confusion of grasps (rows: held; columns: label)", spots))
     if others:
-        study.parts.append(_build_confusion_table("Tissue left out: labels of its grasps", strangers))
+        study.parts.append(_build_confusion_table("Tissue left out: labels of its grasps", left_out))
     return study
 
 

@@ -1,14 +1,14 @@
-"""Reads labeled recordings, and refuses those from which no library can be learned."""
+"""The function that reads labeled recordings, and refuses those from which no library can be learned."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from app.analysis.learning.grasp_reader import read_grasps, recording_sha256
+from app.analysis.learning.grasp_reader import read_grasps, read_reference, recording_sha256
 from config.errors import ConfigurationError, RecordingError
-from config.schema import Settings, TissueLibrary, Tool
+from config.schema import ReferenceGrasp, Settings, SourceConditions, TissueLibrary, Tool, is_same_day
 from estimator.learning.parameter_fit import compute_initial_guess
 from estimator.learning.recorded_grasps import (
     LabeledRecording,
@@ -37,14 +37,20 @@ def load_training_set(
     settings: Settings,
     min_grasps: int,
     progress: Progress,
+    references: Sequence[Path] = (),
 ) -> TrainingSet:
-    """Read every grasp of the labeled files.
+    """Read every grasp of the labeled files, and return them with their loading curves.
+
+    `references`: recordings with empty jaws, each for those recordings of its day that hold no reference grasp.
 
     Raises:
         RecordingError: a file cannot be read, or was recorded with another tool.
-        ConfigurationError: a recording has two labels, or a tissue has too few grasps.
+        ConfigurationError: a recording has two labels, a tissue has too few grasps, or a reference grasp is of a day
+            without recordings.
+        CalibrationError: a reference is none.
     """
     unique, remarks = _remove_duplicates(files)
+    measured = {path: read_reference(path, tool, settings) for path in references}
     guess, total = compute_initial_guess(base), sum(map(len, unique.values()))
     recordings: list[LabeledRecording] = []
     for label, paths in unique.items():
@@ -56,6 +62,8 @@ def load_training_set(
                 )
             )
             _check_rest_voltage(recordings[-1], path, tool)
+    recordings = _add_references(recordings, measured)
+    remarks += _describe_missing_references(recordings)
     peak_v = estimate_usual_peak_v(recordings)
     curves = [extract_loading_curves(each, tool, peak_v) for each in recordings] if np.isfinite(peak_v) else []
     _check_grasp_counts(recordings, curves, min_grasps)
@@ -84,8 +92,54 @@ def _remove_duplicates(files: dict[str, list[Path]]) -> tuple[dict[str, list[Pat
     return unique, remarks
 
 
+def _add_references(
+    recordings: list[LabeledRecording], references: dict[Path, ReferenceGrasp]
+) -> list[LabeledRecording]:
+    """Give each recording without a reference grasp the nearest one of its day.
+
+    Raises:
+        ConfigurationError: a reference grasp is of a day without recordings.
+    """
+    for path, reference in references.items():
+        if not any(is_same_day(each.conditions.recorded_at, reference.taken_at) for each in recordings):
+            days = ", ".join(sorted({_format_day(each) for each in recordings}))
+            raise ConfigurationError(
+                f"{path}: the reference grasp is of {reference.taken_at:%Y-%m-%d}, the recordings of {days}: no "
+                "recording is of its day. Name a reference grasp of the same day, or leave it out."
+            )
+    return [_add_reference(each, references.values()) for each in recordings]
+
+
+def _add_reference(recording: LabeledRecording, references: Iterable[ReferenceGrasp]) -> LabeledRecording:
+    recorded_at = recording.conditions.recorded_at
+    if recording.conditions.reference or recorded_at is None:
+        return recording
+    own = [each for each in references if is_same_day(recorded_at, each.taken_at)]
+    nearest = min(own, key=lambda each: abs(each.taken_at - recorded_at), default=None)
+    return replace(recording, conditions=SourceConditions(recorded_at, nearest))
+
+
+def _describe_missing_references(recordings: Sequence[LabeledRecording]) -> list[str]:
+    """Return one remark about the days without a reference grasp, if there are any."""
+    lacking = [each for each in recordings if each.conditions.reference is None]
+    if not lacking:
+        return []
+    days = ", ".join(sorted({_format_day(each) for each in lacking}))
+    return [
+        f"{len(lacking)} of {len(recordings)} recordings have no reference grasp (day: {days}). So the stall counts "
+        "less for grasps of other days. If there is a recording with empty jaws of that day, name it with --reference."
+    ]
+
+
+def _format_day(recording: LabeledRecording) -> str:
+    recorded_at = recording.conditions.recorded_at
+    return f"{recorded_at:%Y-%m-%d}" if recorded_at else "not known"
+
+
 def _check_rest_voltage(recording: LabeledRecording, path: Path, tool: Tool) -> None:
     """Refuse a recording whose strain gage rests at another voltage: another tool or calibration recorded it."""
+    if tool.hand_driven:
+        return  # a hand presses before the jaws move, so that no sample of a grasp need be at rest
     calibration = tool.calibration
     lowest = [float(np.percentile(grasp.samples["strain_v"], 2)) for grasp in recording.grasps if len(grasp.samples)]
     off_v = float(np.median(lowest)) - calibration.rest_offset_v if lowest else 0.0

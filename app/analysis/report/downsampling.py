@@ -1,4 +1,4 @@
-"""Downsampling of long signals: each pair of points is the minimum and the maximum of its samples."""
+"""The class TimeGrid, which downsamples long signals: each pair of points is the minimum and maximum of its samples."""
 
 import base64
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class TimeGrid:
 
     @classmethod
     def from_ticks(cls, ticks: np.ndarray, max_points: int) -> "TimeGrid":
-        """Make a grid for samples at rising `ticks`, with at most `max_points` points (two or more)."""
+        """Return a grid for samples at rising `ticks`, with at most `max_points` points (two or more)."""
         if not len(ticks):
             return cls(0, 0, 1)
         span = int(ticks[-1] - ticks[0]) + 1

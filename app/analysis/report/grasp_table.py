@@ -1,4 +1,4 @@
-"""The table of all grasps: verdict, probability, time to decision, parameters and warnings."""
+"""The function that builds a report's table of grasps: verdict, probability, time to decision, parameters, warnings."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -72,7 +72,7 @@ def _build_cells(
         render_sparkline(traces["tick"], traces["jaw_force_filtered_n"], traces["limit_n"], max_force_n),
         f"{record.start_s:.3f}",
         _render_verdict(report.tissue_styles[record.label]),
-        _format_percent(record.probability),
+        format_percent(record.probability),
         None if decided is None else round(1e3 * decided),
         record.peak_force_n,
         _format_percent_of_limit(record.peak_share_of_limit),
@@ -91,7 +91,13 @@ def _render_verdict(tissue_style: TissueStyle) -> Markup:
     return VERDICT.format(tissue_style.color, tissue_style.text_color, tissue_style.abbreviation, tissue_style.title)
 
 
-def _format_percent(share: float | None) -> str | None:
+def format_likeliest(report: Report, probabilities: dict[str, float]) -> str:
+    """Format the likeliest answer: its title and probability."""
+    top, share = max(probabilities.items(), key=lambda each: each[1])
+    return f"{report.tissue_styles[top].title}, {format_percent(share)}"
+
+
+def format_percent(share: float | None) -> str | None:
     """Format a share so that one below 1 is never rounded to 100 %."""
     if share is None:
         return None
@@ -109,8 +115,7 @@ def _format_warnings(recording: AnalyzedRecording, record: GraspRecord) -> str:
 def _format_remarks(report: Report, recording: AnalyzedRecording, record: GraspRecord, observation: Observation) -> str:
     said = [record.why_invalid] if record.why_invalid else []
     if record.label == UNDECIDED and record.probabilities:
-        top, share = max(record.probabilities.items(), key=lambda each: each[1])
-        said.append(f"likeliest: {report.tissue_styles[top].title}, {_format_percent(share)}")
+        said.append(f"likeliest: {format_likeliest(report, record.probabilities)}")
     for one in recording.withdrawals:
         if one.grasp == record.index:
             after_s = one.tick / recording.rate_hz - record.start_s

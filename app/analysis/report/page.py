@@ -1,4 +1,4 @@
-"""A report as one self-contained HTML page; the template `report.html.jinja` holds its words."""
+"""The function that renders a report as one HTML page; the template `report.html.jinja` holds its words."""
 
 import json
 from collections import Counter
@@ -8,7 +8,7 @@ from typing import Any
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from app.analysis.report.grasp_table import build_grasp_table
+from app.analysis.report.grasp_table import build_grasp_table, format_likeliest
 from app.analysis.report.plot_data import MAX_TIME_PLOTS, build_plot_data, curve_stride
 from app.analysis.report.report import Progress, Report, collect_versions
 from app.analysis.report.statistics_tables import build_statistics_tables
@@ -20,7 +20,7 @@ TEMPLATES = Path(__file__).with_name("templates")
 
 
 def render_report_page(report: Report, progress: Progress) -> str:
-    """Render a report as one self-contained HTML page; `progress` receives the share done."""
+    """Return a report as one self-contained HTML page; `progress` receives the share done."""
     data = build_plot_data(report, progress)
     drawn = len(data["grasps"])
     packed = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
@@ -34,6 +34,7 @@ def render_report_page(report: Report, progress: Progress) -> str:
         grasps=build_grasp_table(report, drawn) if report.grasps else None,
         grasp_count=len(report.grasps),
         advice=_build_advice(report),
+        spots=_build_spots(report),
         drawn=drawn,
         courses=[each.title for each in report.recordings] if data["courses"] else [],
         max_time_plots=MAX_TIME_PLOTS,
@@ -93,6 +94,26 @@ def _build_advice(report: Report) -> dict[str, str]:
     """Return why no grasp of a recording got a name, by the recording's title."""
     advice = ((one.title, explain_missing_answers(one.tool, one.library, one.grasps)) for one in report.recordings)
     return {title: text for title, text in advice if text}
+
+
+def _build_spots(report: Report) -> Table:
+    rows = [
+        [
+            analyzed.title,
+            spot.index,
+            f"{spot.began_s:.1f} s",
+            ", ".join(map(str, spot.grasps)) or "none",
+            report.tissue_styles[spot.label].title,
+            format_likeliest(report, spot.probabilities) if spot.grasps else None,
+        ]
+        for analyzed in report.recordings
+        for spot in analyzed.spots
+    ]
+    return Table(
+        "One answer for each spot, from all its grasps together",
+        ["recording", "spot", "began at", "grasps", "verdict", "likeliest"],
+        rows,
+    )
 
 
 def _find_group_title(report: Report, name: str | None) -> str | None:

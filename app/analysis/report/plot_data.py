@@ -1,4 +1,4 @@
-"""The data that the page's script draws: packed time plots and whole figures, within a limit of size."""
+"""The function that builds the data that a report's script draws: time plots and figures, within a limit of size."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The report's plots over time, and its box plots of the parameters."""
+"""Functions that build a report's plots over time, and its box plots of the parameters."""
 
 import json
 from collections.abc import Callable, Iterable

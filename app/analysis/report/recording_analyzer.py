@@ -1,4 +1,4 @@
-"""Analysis of one recording for a report: its signals, estimates, grasps, alarms and origin."""
+"""The class RecordingAnalyzer: collects a recording's signals, estimates, grasps, alarms and origin for a report."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.file_names import to_printable
 from acquisition.recordings.recording import RecordingSource
 from acquisition.sample_block import SampleBlock
-from config.schema import Settings, TissueLibrary, Tool
+from config.schema import UNKNOWN_CONDITIONS, Settings, SourceConditions, TissueLibrary, Tool
 from estimator.estimate_block import EstimateBlock, GraspRecord, LabelWithdrawal, SpotVerdict, finite_or_none
 from estimator.force_alarms import ForceAlarm
 from estimator.online_estimator import TissueEstimator
@@ -115,7 +115,7 @@ def _finite_range(errors_n: np.ndarray) -> tuple[float, float] | None:
 
 
 def open_recorded_run(path: Path, tool: Tool) -> RecordingSource:
-    """Open a recording unthrottled, skipping samples before the run; `tool` is the tool of a LabVIEW recording.
+    """Open a recording unthrottled, skipping samples before the run; `tool` is that of another program's log.
 
     Raises:
         RecordingError: the file cannot be read; the text names file and line.
@@ -128,9 +128,9 @@ def open_recorded_run(path: Path, tool: Tool) -> RecordingSource:
 def analyze_recording(
     recording: RecordingSource, title: str, library: TissueLibrary, settings: Settings, progress: Progress
 ) -> AnalyzedRecording:
-    """Process a recording by conditioning, estimation and identification, and collect the results."""
+    """Process a recording by conditioning, estimation and identification; return the results."""
     tool = recording.tool
-    translator = RecordingAnalyzer(title, tool, library, settings, recording.sample_count)
+    translator = RecordingAnalyzer(title, tool, library, settings, recording.sample_count, recording.conditions)
     for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
         translator.process(block)
     about = recording.mcap_file.metadata if recording.mcap_file else {}
@@ -159,9 +159,17 @@ def _collect_facts(path: Path, about: dict[str, str]) -> dict[str, Any]:
 class RecordingAnalyzer:
     """Estimates a recording's blocks in their order and collects the results."""
 
-    def __init__(self, title: str, tool: Tool, library: TissueLibrary, settings: Settings, max_samples: int) -> None:
+    def __init__(
+        self,
+        title: str,
+        tool: Tool,
+        library: TissueLibrary,
+        settings: Settings,
+        max_samples: int,
+        conditions: SourceConditions = UNKNOWN_CONDITIONS,
+    ) -> None:
         self._title, self._tool, self._library, self._settings = title, tool, library, settings
-        self._session = TissueEstimator(tool, library, settings)
+        self._session = TissueEstimator(tool, library, settings, conditions)
         self._traces = np.empty(max_samples, make_trace_dtype(len(library.tissues)))
         self.rows, self._lost_samples = 0, 0
         self._grasps: list[GraspRecord] = []

@@ -1,4 +1,4 @@
-"""A report of one or several recordings, and its JSON document."""
+"""The class Report of one or several recordings, with its JSON document, and functions that analyze recordings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -141,7 +141,7 @@ def analyze_recordings(
     labels: Mapping[Path, str],
     progress: Progress,
 ) -> Report:
-    """Open all recordings, then analyze them one after the other; `tool` is the tool of LabVIEW recordings.
+    """Open and analyze all recordings, one after the other; return the report. `tool` is that of LabVIEW recordings.
 
     Raises:
         RecordingError: a recording cannot be read; the text names file and line.

@@ -1,4 +1,4 @@
-"""Cache of the service's reports: each is built once, one at a time, in a background process."""
+"""The class ReportCache, which builds each report of the service once, one at a time, in a background process."""
 
 import asyncio
 import contextlib
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app import __version__
-from app.host.atomic_write import write_atomically
 from app.host.background_process import SendMessage, run_in_background_process
+from config.atomic_write import write_atomically
 from config.errors import RecordingError, RefusedError
 from config.schema import Settings, TissueLibrary, Tool
 from config.service_plan import ServicePlan
@@ -19,6 +19,7 @@ RETRY_ADVICE = "Ask for the report again."
 MAX_PAGES = 30  # of some megabytes each
 MAX_PENDING_REPORTS = 8  # waiting or being built
 PROGRESS_STEP = 0.01
+PAGE_END, PAGE_END_BYTES = b"</html>", 20
 
 
 @dataclass(slots=True)
@@ -40,7 +41,7 @@ class ReportCache:
         self._configuration = "".join(each.model_dump_json() for each in configured) + __version__
 
     async def request_report(self, recording: Path, on_started: Callable[[], object] = lambda: None) -> Path | float:
-        """Return the page of a recording if there is one; else build it in the background, and return the share done.
+        """Return the path of a recording's page; if there is none, build it in the background and return the share.
 
         Calls `on_started` if it starts a build.
 
@@ -55,7 +56,7 @@ class ReportCache:
         if making:
             del self._builds[page]
             making.task.result()
-        if await asyncio.to_thread(page.is_file):
+        if await asyncio.to_thread(_is_whole, page):
             with contextlib.suppress(OSError):
                 os.utime(page)  # eviction goes by the time of the last request
             return page
@@ -67,13 +68,13 @@ class ReportCache:
         return making.done_share
 
     async def find_report(self, recording: Path) -> Path | None:
-        """Return the page of a recording, None if it has not been built.
+        """Return the path of a recording's report page; None if the page has not been built.
 
         Raises:
             RecordingError: the recording is gone.
         """
         page = await asyncio.to_thread(self._page_path, recording)
-        return page if await asyncio.to_thread(page.is_file) else None
+        return page if await asyncio.to_thread(_is_whole, page) else None
 
     def _page_path(self, recording: Path) -> Path:
         try:
@@ -114,6 +115,16 @@ class ReportCache:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _is_whole(page: Path) -> bool:
+    """Return whether there is a page with its end; one that a failing disk cut off is built anew."""
+    try:
+        with page.open("rb") as file:
+            file.seek(max(page.stat().st_size - PAGE_END_BYTES, 0))
+            return PAGE_END in file.read()
+    except OSError:
+        return False
 
 
 def _short_hash(text: str) -> str:

@@ -1,4 +1,4 @@
-"""A grasp's force as a line of a word's size, drawn without a script."""
+"""The function that draws a grasp's force as a line of a word's size, without a script."""
 
 import numpy as np
 from markupsafe import Markup
@@ -9,7 +9,7 @@ WIDTH_PX, HEIGHT_PX, MAX_POINTS = 130, 34, 70
 
 
 def render_sparkline(ticks: np.ndarray, force_n: np.ndarray, limit_n: np.ndarray, max_force_n: float) -> Markup:
-    """Render a force, N, (n,) at `ticks` as SVG, `max_force_n` high; the limit enforced last is dashed."""
+    """Return the SVG of a force, N, (n,) at `ticks`, `max_force_n` high; the limit enforced last is dashed."""
     grid = TimeGrid.from_ticks(ticks, MAX_POINTS)
     points = grid.downsample(ticks, force_n)
     if not np.isfinite(points).any() or max_force_n <= 0:

@@ -1,4 +1,4 @@
-"""Statistics of a set of grasps, as in the paper: Tables VI and VII, Fig. 8, Tukey's test."""
+"""Functions that compute statistics of a set of grasps as in the paper: Tables VI and VII, Fig. 8, Tukey's test."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -173,7 +173,7 @@ class Statistics:
 
 
 def compute_statistics(observations: list[Observation], tissues: Iterable[str]) -> Statistics:
-    """Group grasps by what was held and compare the groups; `tissues` of the library come first, in their order."""
+    """Return the statistics of grasps, grouped by what was held; the library's `tissues` come first, in their order."""
     left_out = [(one, why) for one in observations if (why := one.exclusion_reason())]
     kept = [one for one in observations if one.exclusion_reason() is None]
     names = {one.group for one in kept}
@@ -219,7 +219,7 @@ def _summarize_parameters(logs: np.ndarray) -> dict[str, ParameterSummary]:
 
 
 def run_tukey_test(logs: dict[str, np.ndarray]) -> TukeyTest:
-    """Apply Tukey's test (Tukey-Kramer for unequal groups) to logarithms of a parameter, (n,) for each group.
+    """Return Tukey's test (Tukey-Kramer for unequal groups) of a parameter's logarithms, (n,) for each group.
 
     The test assumes that all groups scatter alike, and specimens scatter by factors, hence logarithms. Bladder's alpha
     is a hundredth of the others': as plain numbers, its whole spread would vanish in liver's.

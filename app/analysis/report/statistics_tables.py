@@ -1,4 +1,4 @@
-"""The tables of the statistics, for the page and the JSON."""
+"""Functions that build the tables of the statistics, for a report's page and JSON."""
 
 from app.analysis.report.statistics import PARAMETERS, SIGNIFICANCE_LEVEL, Statistics, ValueSummary
 from app.analysis.report.tissue_styles import TissueStyle

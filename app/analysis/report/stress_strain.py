@@ -1,4 +1,4 @@
-"""Stress over strain, Eq. (21): curves of the library with their spread, and curves of grasps."""
+"""Functions that draw stress over strain, Eq. (21): the library's curves with their spread, and curves of grasps."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from app.analysis.report.plots import LEGEND
 from app.analysis.report.recording_analyzer import AnalyzedRecording
 from app.analysis.report.tissue_styles import TissueStyle
-from config.schema import TissueLibrary, TissueProfile
+from config.schema import TissueLibrary
 from estimator.estimate_block import GraspRecord
 
 THRESHOLD_MARGIN = 1.15  # multiple of an injury threshold at which a library curve ends
@@ -58,9 +58,9 @@ def draw_library_curves(library: TissueLibrary, tissue_styles: dict[str, TissueS
     reach = 0.0
     for name, profile in library.tissues.items():
         force_n = np.linspace(0.0, THRESHOLD_MARGIN * library.threshold_n(name), CURVE_POINTS)
-        strain = np.log1p(force_n / profile.alpha_n) / profile.beta_per_m / profile.thickness_m
+        strain = np.log1p(force_n / library.held_alpha(name).median_n) / profile.beta_per_m / profile.thickness_m
         stress_kpa = force_n / library.jaw_area_m2 / 1e3
-        factor = np.exp(_log_strain_sd(library, name, profile, force_n))
+        factor = np.exp(_log_strain_sd(library, name, force_n))
         colour, reach = tissue_styles[name].color, max(reach, float(strain[-1]))
         figure.add_scatter(
             x=np.concatenate([strain / factor, (strain * factor)[::-1]]),
@@ -85,15 +85,16 @@ def draw_library_curves(library: TissueLibrary, tissue_styles: dict[str, TissueS
     return figure
 
 
-def _log_strain_sd(library: TissueLibrary, name: str, profile: TissueProfile, force_n: np.ndarray) -> np.ndarray:
+def _log_strain_sd(library: TissueLibrary, name: str, force_n: np.ndarray) -> np.ndarray:
     """Return the SD of log strain at a force, to first order, from the SDs of log alpha, beta and thickness."""
-    spread, ratio = library.spread_of(name), np.maximum(force_n / profile.alpha_n, 1e-9)
+    spread, alpha = library.spread_of(name), library.held_alpha(name)
+    ratio = np.maximum(force_n / alpha.median_n, 1e-9)
     by_alpha = ratio / (1 + ratio) / np.log1p(ratio)
-    return np.sqrt((by_alpha * spread.log_alpha) ** 2 + spread.log_beta**2 + spread.log_thickness**2)
+    return np.sqrt((by_alpha * alpha.log_sd) ** 2 + spread.log_beta**2 + spread.log_thickness**2)
 
 
 def draw_grasp_curve(figure: go.Figure, curve: StressStrainCurve, title: str, tissue_style: TissueStyle) -> None:
-    """Add a thin line for one of many grasps."""
+    """Add a thin line for one of many grasps to `figure`."""
     figure.add_scatter(
         x=curve.strain.astype(np.float32),
         y=curve.measured_kpa.astype(np.float32),

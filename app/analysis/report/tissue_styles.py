@@ -1,4 +1,4 @@
-"""Color and abbreviation of each tissue, as on the dashboard; the color follows its place in the library."""
+"""The function that gives each tissue its color and abbreviation, as on the dashboard."""
 
 from dataclasses import dataclass
 

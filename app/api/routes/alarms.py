@@ -34,7 +34,7 @@ async def list_alarms(tool_service: ToolServiceDep) -> list[Alarm]:
 async def acknowledge_alarm(
     request: Request, tool_service: ToolServiceDep, alarm_id: str, body: AcknowledgeRequest
 ) -> Alarm:
-    """Acknowledge an alarm. Every page silences it, and shows it until its cause is gone."""
+    """Acknowledge an alarm, and return it. Every page silences it, and shows it until its cause is gone."""
     note_request(request, description=f"Acknowledge {alarm_id}")
     by = require_requester_name(request, body.by)
     try:

@@ -40,7 +40,7 @@ class ExportQuery(BaseModel):
     responses={503: {"description": "The index cannot be asked", **PROBLEM_RESPONSE}},
 )
 async def check_journal(request: Request, chain: JournalWatchDep) -> JournalCheck | StreamingResponse:
-    """Check by the hash chain and the index whether any line was changed, removed, inserted or moved.
+    """Check by the hash chain and the index whether any line of the journal was changed, removed, inserted or moved.
 
     `graspwatch audit verify` also checks the recordings. The result is cached for five seconds.
     """

@@ -41,7 +41,7 @@ async def list_deleted_recordings(recording_bin: RecordingBinDep) -> BinContent:
 async def restore_recording(
     request: Request, recording_bin: RecordingBinDep, entry: str, by: RequesterQuery = None
 ) -> FileRecord:
-    """Restore a deleted recording; only an admin may. The journal records who did it."""
+    """Restore a deleted recording, and return its record; only an admin may. The journal records who did it."""
     by = require_requester_name(request, by)
     try:
         file = await recording_bin.find(entry)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body, Request
 
 from app.api.dependencies import CalibrationDep, ToolServiceDep
-from app.api.routes.control import acquire_control
+from app.api.routes.control_lease import acquire_control
 from app.api.routes.runs import check_has_tool
 from app.http.audit_middleware import note_request
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
@@ -23,7 +23,7 @@ CONFLICT_RESPONSE: dict[int | str, dict[str, Any]] = {
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
 async def get_calibration(calibration_session: CalibrationDep) -> Calibration:
-    """Return the calibration under way, or the last one."""
+    """Return the calibration of the tool that is under way, or the last one."""
     return calibration_session.state
 
 
@@ -39,7 +39,7 @@ async def begin_calibration(
     tool_service: ToolServiceDep,
     body: Annotated[CalibrationRequest, Body()],
 ) -> Calibration:
-    """Begin a calibration. The tool does not move yet."""
+    """Begin a calibration of the tool, and return it. The tool does not move yet."""
     note_request(request, description=f"Begin calibration of {body.what}")
     check_has_tool(tool_service)
     acquire_control(request, tool_service)
@@ -62,7 +62,7 @@ async def begin_calibration(
 async def take_calibration_reading(
     request: Request, calibration_session: CalibrationDep, tool_service: ToolServiceDep
 ) -> Calibration:
-    """Take the next reading, and answer once it is taken. For `stretch` and `geometry` the jaws close gently."""
+    """Take the calibration's next reading, then return it. For `stretch` and `geometry` the jaws close gently."""
     note_request(request, description="Take a reading for a calibration")
     check_has_tool(tool_service)
     acquire_control(request, tool_service)

@@ -1,4 +1,4 @@
-"""The WebSocket of the live stream."""
+"""The route of the live stream's WebSocket."""
 
 from typing import Annotated
 

@@ -13,22 +13,22 @@ from starlette.requests import ClientDisconnect
 from acquisition.protocol_player import ProtocolPlayer
 from acquisition.safety_state_machine import Safety
 from app.api.dependencies import StartedRunsDep, ToolServiceDep
-from app.api.routes.control import acquire_control
+from app.api.routes.control_lease import acquire_control
 from app.http.audit_middleware import note_request
 from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.index.queries import RunQuery
 from app.messages.grasps import Grasp
-from app.messages.live import Phase
+from app.messages.live import Phase, ReferenceState
 from app.messages.people import Role
-from app.messages.runs import Run, RunRequest, SpotRequest, StopAnswer, StopRequest
+from app.messages.runs import DeclineRequest, Run, RunRequest, SpotRequest, StopAnswer, StopRequest
 from app.messages.tool import ArmRequest, SafetyReport
 from app.people.authorization import get_user, requester_name, require_role
 from app.service.runs import RunUnderWayError
 from app.service.tool_service import ToolService
 from config.errors import ConfigurationError, RefusedError, ServiceError
-from config.load import build_graspable_library, list_shipped_names, load_grasp_protocol, require_known_name
-from config.schema import ToolKind
+from config.load import FileKind, build_graspable_library, list_names, load_grasp_protocol, require_known_name
+from config.schema import GraspProtocol, ToolKind
 
 router = APIRouter(prefix="/api", tags=["runs"])
 STOP_BODY_TIMEOUT_S = 0.1
@@ -62,7 +62,7 @@ async def start_run(
         str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200, description=IDEMPOTENCY_DESCRIPTION)
     ] = None,
 ) -> Run:
-    """Start a protocol on the tool."""
+    """Start a run of a protocol on the tool, and return the run."""
     user = get_user(request)
     started = f"run {body.protocol}" + (f" on {body.tissue}" if body.tissue else "")
     note_request(request, description=f"Repeat the start of {started}, which its first request has answered")
@@ -78,11 +78,13 @@ async def _start_run(request: Request, tool_service: ToolService, body: RunReque
     check_has_tool(tool_service)
     override = _unmeasured_scale_reason(request, tool_service, body.unmeasured_scale)
     try:
-        protocol = load_grasp_protocol(require_known_name(body.protocol, list_shipped_names("protocols"), "protocol"))
+        folder = tool_service.plan.data_folder
+        name = require_known_name(body.protocol, list_names(FileKind.PROTOCOL, folder), "protocol")
+        protocol = load_grasp_protocol(name, folder)
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "protocol") from None
     cycles = body.cycles or protocol.cycles
-    _check_tissue(tool_service, body.tissue)
+    _check_tissue(tool_service, body.tissue, protocol)
     try:
         ProtocolPlayer(protocol, tool_service.plan.tool, cycles)
     except RefusedError as error:
@@ -130,9 +132,12 @@ async def _end_demo_and_check_idle(tool_service: ToolService) -> None:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail)
 
 
-def _check_tissue(tool_service: ToolService, tissue: str | None) -> None:
+def _check_tissue(tool_service: ToolService, tissue: str | None, protocol: GraspProtocol) -> None:
     if tissue is None:
         return
+    if protocol.is_reference_grasp:
+        detail = "A reference grasp closes on nothing. Leave `tissue` out."
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "tissue")
     if tool_service.plan.tool.kind is not ToolKind.SIMULATED:
         detail = "Only the simulated grasper can be told what it holds. Leave `tissue` out."
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, detail, "tissue")
@@ -179,7 +184,7 @@ async def disarm_tool(request: Request, tool_service: ToolServiceDep, body: ArmR
     },
 )
 async def begin_spot(request: Request, tool_service: ToolServiceDep, body: SpotRequest | None = None) -> Run:
-    """Begin a new spot: the next grasp is on another place. A grasp under way belongs to the spot before."""
+    """Begin a new spot in the run: the next grasp is on another place. A grasp under way belongs to the spot before."""
     note_request(request, description="Begin a new spot")
     check_has_tool(tool_service)
     acquire_control(request, tool_service)
@@ -187,6 +192,23 @@ async def begin_spot(request: Request, tool_service: ToolServiceDep, body: SpotR
         return await tool_service.run_controller.begin_spot(requester_name(request, body.by if body else None))
     except ServiceError as error:
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, str(error)) from None
+
+
+@router.post(
+    "/reference/decline",
+    dependencies=[require_role(Role.OPERATOR)],
+    responses={409: {"description": "Somebody else has control, or there is no tool", **PROBLEM_RESPONSE}},
+)
+async def decline_reference(
+    request: Request, tool_service: ToolServiceDep, body: DeclineRequest | None = None
+) -> ReferenceState:
+    """Go on without a reference grasp today: the stall counts less. To take one, start the run `reference_grasp`."""
+    note_request(request, description="Go on without a reference grasp")
+    check_has_tool(tool_service)
+    acquire_control(request, tool_service)
+    tool_service.references.decline(requester_name(request, body.by if body else None))
+    tool_service.state.publish()
+    return tool_service.references.build_state()
 
 
 def check_has_tool(tool_service: ToolService) -> None:
@@ -213,7 +235,7 @@ async def list_runs(
 
 @router.get("/runs/{run_id}", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
 async def get_run(tool_service: ToolServiceDep, run_id: str) -> Run:
-    """Return one run."""
+    """Return one run of this service or an earlier one."""
     run = tool_service.runs.get(run_id) or await tool_service.index_writer.query(
         tool_service.index_writer.store.get_run, run_id
     )
@@ -273,7 +295,8 @@ async def _stop_motor(request: Request, tool_service: ToolService) -> StopAnswer
     try:
         stopped = await tool_service.run_controller.stop("asked to stop", lambda: _read_requester_name(request))
     except ServiceError as error:
-        detail = f"{error} Switch the motor's amplifier off by hand."
+        advice = " Switch the motor's amplifier off by hand." if tool_service.plan.tool.has_motor else ""
+        detail = f"{error}{advice}"
         raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, detail) from None
     run = tool_service.runs.get(before.id) if before else None
     tool_service.state.publish()

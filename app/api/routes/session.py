@@ -21,7 +21,7 @@ NO_TOKENS_TEXT = (
 
 @router.get("", dependencies=[PUBLIC_ROUTE])
 async def get_session(request: Request, authenticator: AuthenticatorDep) -> SessionInfo:
-    """Return who is signed in, and whether signing in is needed."""
+    """Return who sends the request, and whether signing in is needed."""
     return _build_session_info(authenticator, get_user(request))
 
 

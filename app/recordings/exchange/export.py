@@ -1,4 +1,4 @@
-"""Export of a recorded run as CSV, Parquet or MATLAB file, or as its unchanged MCAP file."""
+"""The function behind `graspwatch export`: writes a recorded run as CSV, Parquet, MATLAB or unchanged MCAP file."""
 
 import json
 import shutil
@@ -15,7 +15,7 @@ import scipy.io
 from acquisition.recordings.mcap_reader import McapFile
 from app.recordings.exchange.export_formats import ExportFormat
 from app.recordings.run_reader import RecordedRun, build_run_columns, read_run
-from config.errors import RecordingError
+from config.errors import RecordingError, build_write_error
 
 MAX_MAT_VARIABLE_BYTES = 2**31  # limit of MATLAB's format of version 5
 
@@ -28,6 +28,7 @@ def export_run(source: Path, target: Path, export_format: ExportFormat) -> list[
 
     Raises:
         RecordingError: the source cannot be read, or the target exists or cannot be written.
+        ServiceError: the disk is full.
     """
     grasps = target.with_name(f"{target.stem}-grasps{target.suffix}")
     targets = [target, grasps] if export_format in (ExportFormat.CSV, ExportFormat.PARQUET) else [target]
@@ -49,7 +50,8 @@ def export_run(source: Path, target: Path, export_format: ExportFormat) -> list[
         for path, part in provisional.items():
             part.rename(path)
     except OSError as error:
-        raise RecordingError(f"{target}: cannot be written ({error.strerror}). Make room, or name another.") from None
+        text = f"{target}: cannot be written ({error.strerror}). Make room, or name another."
+        raise build_write_error(text, error, RecordingError) from None
     finally:
         for part in provisional.values():
             part.unlink(missing_ok=True)
@@ -70,10 +72,10 @@ def _build_sample_table(run: RecordedRun) -> pa.Table:
 
 
 def _build_grasp_rows(run: RecordedRun) -> list[dict[str, object]]:
-    """Return the grasps with one value a cell: each tissue's value gets its own column."""
+    """Return the grasps with one value a cell: each tissue's value gets its own column, and so does the force scale."""
     rows = []
     for grasp in run.grasps:
-        row: dict[str, object] = {}
+        row: dict[str, object] = {"force_scale": run.recording_context.tool.scale_text}
         for name, value in grasp.model_dump(mode="json").items():
             if isinstance(value, dict):
                 row |= {f"{name}_{tissue}": each for tissue, each in value.items()}

@@ -1,4 +1,4 @@
-"""The formats of exports."""
+"""The enumeration of the file formats of exports."""
 
 from enum import StrEnum
 

@@ -1,4 +1,4 @@
-"""Builder of a recording's replay cache, with the same conditioning, estimation and messages as for a live tool."""
+"""The function that builds a replay cache, with the same conditioning, estimation and messages as for a live tool."""
 
 import shutil
 from collections.abc import Callable, Iterator
@@ -58,7 +58,7 @@ def build_replay_cache(
         shape = recording.sample_count, columns
         np.lib.format.write_array_header_1_0(samples, {"descr": "<f4", "fortran_order": False, "shape": shape})
         cache = _ReplayCacheWriter(samples, told, tool, library)
-        session = TissueEstimator(tool, library, settings)
+        session = TissueEstimator(tool, library, settings, recording.conditions)
         for whole in read_conditioned_blocks(recording, tool, settings.conditioning, report_steps):
             for block in _split_block(whole):
                 cache.append(block, session.process(block))

@@ -1,4 +1,4 @@
-"""Store of replay caches: each is built on request, once, and shared by its viewers."""
+"""The class ReplayCacheStore: each replay cache is built on request, once, and shared by its viewers."""
 
 import asyncio
 import contextlib

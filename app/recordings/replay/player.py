@@ -1,4 +1,4 @@
-"""One viewer's replay of a recording: plays its cache with pause, seek and speed of its own."""
+"""The class ReplayPlayer, which plays a replay cache to one viewer with pause, seek and speed, and its connection."""
 
 import asyncio
 import time

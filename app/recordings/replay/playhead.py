@@ -1,4 +1,4 @@
-"""Position of a replay, and the ticks that it shows next. Pure: the caller passes the elapsed time."""
+"""The class Playhead: position of a replay, and the ticks to show next. It has no clock: callers pass elapsed times."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,10 @@ ROUNDING_TICKS = 1e-6  # a position in seconds stands for a whole tick
 
 @dataclass(slots=True)
 class Playhead:
-    """`shown_tick` is the tick up to which everything has been shown; it jumps only in `apply_control`."""
+    """Position of a replay. `shown_tick` is the tick up to which everything has been shown.
+
+    It jumps only in `apply_control`.
+    """
 
     end_tick: int
     rate_hz: float

@@ -1,4 +1,4 @@
-"""A recording's replay cache: all samples and messages for its viewers, written once, then only read.
+"""The class ReplayCache: all samples and messages of a recording for its viewers, written once, then only read.
 
 It is a folder of four files. `columns.npy` is float32 of shape (samples, channels). `messages` holds JSON messages one
 after the other. `index.npz` has the tick of each message, and the gaps in the samples. `tool.json` is the tool of the

@@ -1,6 +1,6 @@
-import { create, find, setAttribute, setData, setHidden, setText } from "../dom";
+import { createOption, find, setAttribute, setData, setHidden, setText } from "../dom";
 import { count, inOneLine } from "../format";
-import { arm, beginSpot, disarm, getProtocols, messageOf, startRun } from "../live/rest";
+import { arm, beginSpot, declineReference, disarm, getProtocols, messageOf, startRun } from "../live/rest";
 import type { Model } from "../live/model";
 import type { Person } from "../shell/person";
 import type { Hello, Phase, ProtocolInfo, Run, RunRequest, Safety, State } from "../wire";
@@ -28,6 +28,11 @@ const SAFETY: Record<Safety, string> = {
 /** Safety states in which the button disarms the tool. In the others it arms it. */
 const ARMED: Safety[] = ["testing", "armed", "running", "holding back", "let go"];
 
+const REFERENCE_PROTOCOL = "reference_grasp";
+
+/** Whether the page asks for a reference grasp before it starts this protocol. */
+export const asksForReference = (state: State | null, protocol: string): boolean => state?.reference.wanted === true && protocol !== REFERENCE_PROTOCOL;
+
 /** Chooses a protocol, previews it and starts it. */
 export class ProtocolPanel {
   private readonly protocol: HTMLSelectElement;
@@ -37,6 +42,7 @@ export class ProtocolPanel {
   private readonly armButton: HTMLButtonElement;
   private readonly scaleReason: HTMLInputElement;
   private readonly message: HTMLElement;
+  private readonly question: HTMLElement;
   private readonly control: ControlLine;
   private protocols: ProtocolInfo[] = [];
   private startedRun: string | null = null;
@@ -54,6 +60,9 @@ export class ProtocolPanel {
     this.armButton = find(root, "arm", HTMLButtonElement);
     this.scaleReason = find(root, "scale-reason", HTMLInputElement);
     this.message = find(root, "run-message");
+    this.question = find(root, "reference-question");
+    find(root, "reference-take").addEventListener("click", () => void this.takeReference());
+    find(root, "reference-decline").addEventListener("click", () => void this.goOnWithoutReference());
     this.control = new ControlLine(root, person, (failure) => this.showMessage(failure, "failed"));
     this.protocol.addEventListener("change", () => this.preview());
     this.armButton.addEventListener("click", () => void this.armOrDisarm());
@@ -72,7 +81,7 @@ export class ProtocolPanel {
       return;
     }
     const chosen = this.protocol.value;
-    this.protocol.replaceChildren(...this.protocols.map(({ name, title }) => option(name, title)));
+    this.protocol.replaceChildren(...this.protocols.map(({ name, title }) => createOption(name, title)));
     if (this.protocols.some(({ name }) => name === chosen)) this.protocol.value = chosen;
     this.protocol.disabled = this.protocols.length === 0;
     this.preview();
@@ -83,14 +92,22 @@ export class ProtocolPanel {
     if (hello && this.tissuesFor !== hello.holdable) this.listTissues(hello);
     setHidden(find(this.root, "run-form"), this.model.hasNoTool);
     setHidden(find(this.root, "scale-override"), !this.mayOverrideScale);
+    if (state?.reference.wanted !== true) setHidden(this.question, true);
     this.control.render(state);
-    setText(find(this.root, "phase"), state ? (PHASE[state.phase] ?? SAFETY[state.safety]) : "");
+    setText(find(this.root, "phase"), state ? (PHASE[state.phase] ?? this.safetyInWords(state)) : "");
     setData(find(this.root, "phase"), "phase", state?.safety === "faulted" ? "faulted" : (state?.phase ?? ""));
     setText(this.armButton, this.isArmed(state) ? "Disarm" : "Arm");
+    setHidden(this.armButton, !this.model.hasMotor);
+    setHidden(find(this.root, "cycles-field"), !this.model.hasMotor);
     this.armButton.disabled = this.start.disabled = state?.safety === "faulted";
     setText(find(this.root, "run-now"), this.runInWords());
     if (this.startedRun && state?.run === null && state.last_run?.id === this.startedRun) this.forget();
     if (hello && state) this.nameHeldTissue(state.simulated_tissue);
+  }
+
+  private safetyInWords(state: State): string {
+    if (this.model.hasMotor) return SAFETY[state.safety];
+    return state.run === null ? "Ready" : "Running";
   }
 
   submitByKey(): void {
@@ -115,12 +132,37 @@ export class ProtocolPanel {
 
   private async submit(): Promise<void> {
     if (this.start.ariaBusy === "true" || !this.person.may("operator")) return;
+    if (asksForReference(this.model.state, this.protocol.value)) {
+      setHidden(this.question, false);
+      find(this.root, "reference-take").focus();
+      return;
+    }
+    await this.startNow(this.request());
+  }
+
+  private async takeReference(): Promise<void> {
+    setHidden(this.question, true);
+    await this.startNow({ ...this.request(), protocol: REFERENCE_PROTOCOL, cycles: null, tissue: null });
+  }
+
+  private async goOnWithoutReference(): Promise<void> {
+    setHidden(this.question, true);
+    try {
+      await declineReference(this.person.name);
+      await this.startNow(this.request());
+    } catch (error) {
+      this.showMessage(`Not started: ${messageOf(error)}`, "failed");
+    }
+  }
+
+  private async startNow(request: RunRequest): Promise<void> {
     this.showMessage("Starting…", "pending");
     setAttribute(this.start, "aria-busy", "true");
     try {
-      const run = await startRun(this.request());
+      const run = await startRun(request);
       this.startedRun = run.id;
-      this.showMessage(`Started: ${this.titleOf(run)}, ${count(run.cycles, "grasp")}.`, "done");
+      const planned = this.model.hasMotor ? `, ${count(run.cycles, "grasp")}` : ": close the jaws by hand, and press STOP at the end";
+      this.showMessage(`Started: ${this.titleOf(run)}${planned}.`, "done");
     } catch (error) {
       this.showMessage(`Not started: ${messageOf(error)}`, "failed");
     } finally {
@@ -146,7 +188,7 @@ export class ProtocolPanel {
     return {
       protocol: this.protocol.value,
       cycles: cycles === "" ? null : Number(cycles),
-      tissue: this.tissue.value === "" ? null : this.tissue.value,
+      tissue: this.tissue.value === "" || this.protocol.value === REFERENCE_PROTOCOL ? null : this.tissue.value,
       by: this.person.name,
       unmeasured_scale: this.overrideReason,
     };
@@ -155,7 +197,7 @@ export class ProtocolPanel {
   /** Whether a person may give a reason to arm a real tool whose force scale is not measured. */
   private get mayOverrideScale(): boolean {
     const tool = this.model.hello?.tool;
-    return tool?.kind === "nidaq" && !tool.force_scale.measured && this.person.may("admin");
+    return tool?.kind === "nidaq" && tool.has_motor && !tool.force_scale.measured && this.person.may("admin");
   }
 
   private get overrideReason(): string | null {
@@ -174,8 +216,8 @@ export class ProtocolPanel {
     this.tissuesFor = hello.holdable;
     setHidden(find(this.root, "tissue-choice"), hello.holdable.length === 0);
     const chosen = this.tissue.value;
-    const options = hello.holdable.map(({ name, title, in_library: known }) => option(name, known ? title : `${title} (not in the library)`));
-    this.tissue.replaceChildren(option("", "As before"), ...options);
+    const options = hello.holdable.map(({ name, title, in_library: known }) => createOption(name, known ? title : `${title} (not in the library)`));
+    this.tissue.replaceChildren(createOption("", "As before"), ...options);
     if (hello.holdable.some(({ name }) => name === chosen)) this.tissue.value = chosen;
   }
 
@@ -192,9 +234,18 @@ export class ProtocolPanel {
     if (this.model.hasNoTool) return "This service only shows recordings: there is no motor to start.";
     const run = state?.run ?? state?.last_run;
     if (!run) return "";
-    if (run.state === "running") return `Running ${this.titleOf(run)}: ${run.grasps} of ${count(run.cycles, "grasp")} done. Control: ${state?.control ?? "nobody"}.`;
+    if (run.protocol === REFERENCE_PROTOCOL) return this.referenceInWords(run, state);
+    const done = this.model.hasMotor ? `${run.grasps} of ${count(run.cycles, "grasp")} done` : `${count(run.grasps, "grasp")} so far`;
+    if (run.state === "running") return `Running ${this.titleOf(run)}: ${done}. Control: ${state?.control ?? "nobody"}.`;
     const why = run.why === null ? "" : `: ${run.why}`;
     return `Last run ${this.titleOf(run)} ${run.state} after ${count(run.grasps, "grasp")}${why}`;
+  }
+
+  private referenceInWords(run: Run, state: State | null): string {
+    if (run.state === "running") return `Taking the reference grasp. Control: ${state?.control ?? "nobody"}.`;
+    const { taken_at: takenAt, stall_v: stallV, problem } = state?.reference ?? {};
+    if (problem) return `No reference grasp: ${problem}`;
+    return takenAt ? `The day has its reference grasp: the drive stalls at ${stallV?.toFixed(2)} V.` : "The reference grasp is being measured.";
   }
 
   private readonly titleOf = (run: Run): string => this.protocols.find(({ name }) => name === run.protocol)?.title ?? run.protocol;
@@ -203,10 +254,4 @@ export class ProtocolPanel {
     setText(this.message, text);
     setData(this.message, "outcome", outcome);
   }
-}
-
-function option(value: string, text: string): HTMLOptionElement {
-  const element = create("option", "", text);
-  element.value = value;
-  return element;
 }

@@ -8,7 +8,15 @@ interface Bar {
   style: TissueStyle;
   row: HTMLElement;
   value: HTMLElement;
+  light: HTMLElement;
 }
+
+/** Up to here a filter's NIS is that of a fit; from `LOST_NIS` on the filter has lost the grasp. */
+const FITTING_NIS = 2;
+const LOST_NIS = 50;
+
+type Fit = "none" | "fits" | "strained" | "lost";
+const FITS: Record<Fit, string> = { none: "no estimate", fits: "fits the grasp", strained: "fits badly", lost: "has lost the grasp" };
 
 /** Shows which tissue is held, with its probability and those of the other tissues. */
 export class TissueCard {
@@ -111,18 +119,30 @@ export class TissueCard {
       const track = create("span", "bar-track");
       track.append(create("span", "bar-fill"));
       const value = create("span", "bar-value");
-      row.append(create("span", "swatch", style.mark), create("span", "bar-name", style.title), track, value);
-      return { style, row, value };
+      const light = create("span", "fit-light");
+      row.append(create("span", "swatch", style.mark), create("span", "bar-name", style.title), track, value, light);
+      return { style, row, value, light };
     });
     find(this.root, "tissue-bars").replaceChildren(...this.bars.map((bar) => bar.row));
   }
 
   private renderBars(held: Identification | null): void {
-    for (const { style, row, value } of this.bars) {
+    for (const { style, row, value, light } of this.bars) {
       const share = held && held.grasp > 0 ? held.probabilities[style.name] : undefined;
       setProperty(row, "--share", share ?? 0);
       setText(value, percent(share));
       setData(row, "chosen", String(held?.grasp !== 0 && held?.label === style.name));
+      if (style.slot === UNKNOWN_SLOT) continue;
+      const nis = held && held.grasp > 0 ? held.nis[style.name] : undefined;
+      const fit = fitOf(nis, held);
+      setData(light, "fit", fit);
+      light.title = `Filter of ${style.title.toLowerCase()}: ${FITS[fit]}${nis ? ` (NIS ${nis < 100 ? nis.toFixed(1) : "over 100"})` : ""}`;
     }
   }
+}
+
+function fitOf(nis: number | null | undefined, held: Identification | null): Fit {
+  if (nis === undefined || !held || (nis === null && !held.in_contact)) return "none";
+  if (nis === null || nis >= LOST_NIS) return "lost";
+  return nis > FITTING_NIS ? "strained" : "fits";
 }

@@ -39,9 +39,12 @@ const probability: VerticalScale = {
   splits: () => [0, 0.25, 0.5, 0.75, 1],
 };
 
+/** NIS of filters that fit, up to where they have lost the grasp. */
+const NIS_RANGE = [0.1, 100];
+
 /** Whole decades around the library and the estimates. Diverging estimates leave the chart; they do not stretch it. */
 const parameter = (hello: Hello, which: Parameter): VerticalScale => {
-  const library = hello.library.tissues.map((tissue) => tissue[which]);
+  const library = which === "nis" ? NIS_RANGE : hello.library.tissues.map((tissue) => tissue[which]);
   const low = Math.min(...library);
   const high = Math.max(...library);
   return {

@@ -20,6 +20,7 @@ const PARAMETERS: Record<Parameter, string> = {
   alpha_n: "N, stiffness α",
   beta_per_m: "1/m, stiffening β",
   damping_kg_per_s: "kg/s, damping d",
+  nis: "fit of each filter: NIS, 1 if it fits",
 };
 
 /** The strip charts on one time axis: four, and one for each further chart in the table of signals. */

@@ -19,7 +19,7 @@ export interface Trace {
   scaled: boolean;
 }
 
-export type Parameter = "alpha_n" | "beta_per_m" | "damping_kg_per_s";
+export type Parameter = "alpha_n" | "beta_per_m" | "damping_kg_per_s" | "nis";
 
 export interface PlotSpec {
   id: string;
@@ -60,8 +60,9 @@ const ofTissue = (model: Model, channel: string, style: TissueStyle, scaled: boo
   scaled,
 });
 
-/** Channel with the SD of each parameter's logarithm. */
+/** Channel with the SD of each parameter's logarithm; a fit has none. */
 const SD_OF: Record<Parameter, string> = {
+  nis: "",
   alpha_n: "log_alpha_sd",
   beta_per_m: "log_beta_sd",
   damping_kg_per_s: "log_damping_sd",

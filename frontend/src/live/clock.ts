@@ -23,3 +23,18 @@ export class ServerClock {
     return serverMs + Math.min(...this.readings.map((reading) => reading.offset));
   }
 }
+
+/** `Date` has full seconds, so a smaller difference says nothing. */
+const DATE_HEADER_STEP_MS = 1000;
+
+/** The server's clock, ms since 1970, when `performance.now()` was 0; the viewer's own until the first answer. */
+let serverOriginMs = performance.timeOrigin;
+
+/** Reads the server's clock from the `Date` of an answer: the viewer's own may be wrong. */
+export function readServerDate(date: string | null): void {
+  const originMs = Date.parse(date ?? "") + DATE_HEADER_STEP_MS / 2 - performance.now();
+  if (Math.abs(originMs - serverOriginMs) > DATE_HEADER_STEP_MS) serverOriginMs = originMs;
+}
+
+/** Returns the time of the server's clock, ms since 1970, at a moment of `performance.now()`; to about a second. */
+export const serverTimeMs = (pageMs = performance.now()): number => serverOriginMs + pageMs;

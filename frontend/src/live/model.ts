@@ -52,6 +52,11 @@ export class Model {
     return this.connected && this.state?.phase === "replay";
   }
 
+  /** Whether Graspwatch drives the tool; without a motor it only warns. */
+  get hasMotor(): boolean {
+    return this.hello?.tool.has_motor ?? true;
+  }
+
   /** Whether state and samples from after `sinceMs` (page time) show that no run and no command moves the motor. */
   standsStillSince(sinceMs: number, nowMs: number): boolean {
     const { state } = this;
@@ -59,7 +64,8 @@ export class Model {
     const atRest = state.phase === "idle" && state.run === null && !RUN_STATES.includes(state.safety);
     const toldAt = this.clock.toPage(state.server_time_ms);
     const readAt = this.clock.toPage(this.newestMs);
-    return atRest && toldAt > sinceMs && readAt > sinceMs && Math.abs(this.newest("motor_command_v")) < COMMAND_ON_V;
+    const noCommand = !this.hasMotor || Math.abs(this.newest("motor_command_v")) < COMMAND_ON_V;
+    return atRest && toldAt > sinceMs && readAt > sinceMs && noCommand;
   }
 
   get tissues(): TissueInfo[] {

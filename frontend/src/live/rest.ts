@@ -1,12 +1,15 @@
+import { readServerDate } from "./clock";
 import type {
   AcknowledgeRequest,
   Alarm,
   ArmRequest,
   ControlInfo,
   ControlRequest,
+  DeclineRequest,
   Priority,
   Problem,
   ProtocolInfo,
+  ReferenceState,
   Run,
   RunRequest,
   SafetyReport,
@@ -15,11 +18,13 @@ import type {
   StopAnswer,
   SpotRequest,
   StopRequest,
+  ToolInfo,
 } from "../wire";
 
 const TIMEOUT_MS = 5000;
 const STOP_TIMEOUT_MS = 2000;
 const READING_TIMEOUT_MS = 60_000;
+const UPLOAD_TIMEOUT_MS = 120_000;
 const UNAUTHORIZED = 401;
 const SESSION = "/api/session";
 const CONTROL = "/api/control";
@@ -42,10 +47,17 @@ export const getJson = <Answer>(path: string): Promise<Answer> => fetchJson("GET
 
 export const postJson = <Answer>(path: string, body?: unknown): Promise<Answer> => fetchJson("POST", path, TIMEOUT_MS, body);
 
+/** Sends a file as it is. */
+export const postFile = <Answer>(path: string, file: Blob): Promise<Answer> => fetchJson("POST", path, UPLOAD_TIMEOUT_MS, file);
+
 export const deletePath = (path: string): Promise<null> => fetchJson("DELETE", path, TIMEOUT_MS);
 
 /** Takes one reading of a calibration, which lasts several seconds. */
 export const takeReading = <Answer>(): Promise<Answer> => fetchJson("POST", "/api/calibration/reading", READING_TIMEOUT_MS);
+
+/** Makes the tool go on with the constants of another tool file. */
+export const useToolFile = (name: string, by: string | null): Promise<ToolInfo> =>
+  postJson(`/api/configuration/tool/${encodeURIComponent(name)}/use${by ? `?by=${encodeURIComponent(by)}` : ""}`);
 
 export const getProtocols = (): Promise<ProtocolInfo[]> => getJson("/api/protocols");
 
@@ -60,6 +72,10 @@ export const sendStop = (by: string | null): Promise<StopAnswer> => {
   const request: StopRequest = { by };
   return fetchJson("POST", "/api/stop", STOP_TIMEOUT_MS, request);
 };
+
+/** Goes on without a reference grasp today. */
+export const declineReference = (by: string | null): Promise<ReferenceState> =>
+  postJson("/api/reference/decline", { by } satisfies DeclineRequest);
 
 export const beginSpot = (by: string | null): Promise<Run> => postJson("/api/spots", { by } satisfies SpotRequest);
 
@@ -91,8 +107,9 @@ async function fetchJson<Answer>(method: string, path: string, timeoutMs: number
       method,
       cache: "no-store",
       signal: AbortSignal.timeout(timeoutMs),
-      ...(body === undefined ? {} : { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } }),
+      ...encode(body),
     });
+    readServerDate(response.headers.get("Date"));
     if (response.ok) return (response.status === 204 ? null : await response.json()) as Answer;
   } catch (error) {
     const timedOut = error instanceof DOMException && error.name === "TimeoutError";
@@ -100,6 +117,12 @@ async function fetchJson<Answer>(method: string, path: string, timeoutMs: number
   }
   if (response.status === UNAUTHORIZED && path !== SESSION) notifySignedOut();
   throw new Refused(await problemText(response));
+}
+
+function encode(body: unknown): RequestInit {
+  if (body === undefined) return {};
+  if (body instanceof Blob) return { body, headers: { "Content-Type": "application/octet-stream" } };
+  return { body: JSON.stringify(body), headers: { "Content-Type": "application/json" } };
 }
 
 async function problemText(response: Response): Promise<string> {

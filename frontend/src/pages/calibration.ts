@@ -1,6 +1,6 @@
 import { create, fill, find, setAttribute, setHidden, setText } from "../dom";
 import { NO_VALUE } from "../format";
-import { deletePath, messageOf, postJson, takeReading } from "../live/rest";
+import { deletePath, messageOf, postJson, takeReading, useToolFile } from "../live/rest";
 import { showHints } from "../shell/hints";
 import type { Person } from "../shell/person";
 import type { Page } from "../shell/router";
@@ -77,6 +77,7 @@ export class CalibrationPage implements Page {
     });
     this.readButton.addEventListener("click", () => void this.sendReading());
     find(this.root, "reading-abandon").addEventListener("click", () => void this.abandon());
+    find(this.root, "fit-use").addEventListener("click", () => void this.use());
     const section = find(this.root, "calibration");
     this.polled = new Polled({ path: PATH, title: "The calibration", section, onAnswer: (answer) => this.show(answer) });
   }
@@ -137,6 +138,18 @@ export class CalibrationPage implements Page {
       setText(find(this.root, "reading-problem"), messageOf(error));
     }
     this.polled.refresh();
+  }
+
+  /** Makes the tool go on with the new constants. */
+  private async use(): Promise<void> {
+    const name = find(this.root, "fit-file").textContent.replace(/^.*[/\\]|\.toml$/g, "");
+    const message = find(this.root, "fit-use-message");
+    try {
+      await useToolFile(name, this.person.name);
+      setText(message, `${name} is used from now on. The tool is ready again in some seconds, disarmed.`);
+    } catch (error) {
+      setText(message, `Not used: ${messageOf(error)}`);
+    }
   }
 
   private show(state: Calibration): number {

@@ -14,9 +14,16 @@ export function onSinglePress(button: HTMLButtonElement, act: () => void): void 
   });
 }
 
-/** Creates a question for a button that acts only after a second press elsewhere. It accepts no answer at first, and goes
- * away without an answer. It never blocks the page, because STOP must work. */
-export function confirmFirst(button: HTMLButtonElement, question: string, yes: string, act: () => void): HTMLElement {
+/** A question that the page shows. */
+export interface Question {
+  readonly box: HTMLElement;
+  /** Shows the question, or hides it. */
+  readonly show: (shown: boolean) => void;
+}
+
+/** Creates a hidden question, and calls `act` for a yes. It accepts no answer at first, and goes away without an answer.
+ * It never blocks the page, because STOP must work. */
+export function createQuestion(question: string, yes: string, act: () => void, onShow: (shown: boolean) => void = () => {}): Question {
   const box = create("div", "confirm");
   box.dataset.testid = "confirm";
   box.role = "group";
@@ -25,12 +32,11 @@ export function confirmFirst(button: HTMLButtonElement, question: string, yes: s
   for (const each of [yesButton, keepButton]) each.type = "button";
   yesButton.dataset.testid = "confirm-yes";
   box.append(create("span", "", question), yesButton, keepButton);
-  box.hidden = true;
   let timers: number[] = [];
   const show = (shown: boolean): void => {
     for (const timer of timers) window.clearTimeout(timer);
+    onShow(shown);
     setHidden(box, !shown);
-    button.ariaExpanded = String(shown);
     yesButton.disabled = true;
     if (!shown) return;
     timers = [
@@ -39,9 +45,19 @@ export function confirmFirst(button: HTMLButtonElement, question: string, yes: s
     ];
     keepButton.focus();
   };
-  onSinglePress(button, () => show(box.hidden === true));
-  onSinglePress(keepButton, () => (show(false), button.focus()));
+  onSinglePress(keepButton, () => show(false));
   onSinglePress(yesButton, () => (show(false), act()));
-  show(false);
+  box.hidden = true;
+  return { box, show };
+}
+
+/** Creates a question for a button that acts only after a second press elsewhere. Returns its box. */
+export function confirmFirst(button: HTMLButtonElement, question: string, yes: string, act: () => void): HTMLElement {
+  const { box, show } = createQuestion(question, yes, act, (shown) => {
+    if (box.contains(document.activeElement)) button.focus(); // what is hidden loses it
+    button.ariaExpanded = String(shown);
+  });
+  button.ariaExpanded = "false";
+  onSinglePress(button, () => show(box.hidden === true)); // TypeScript knows a third value
   return box;
 }

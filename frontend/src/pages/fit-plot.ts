@@ -1,6 +1,6 @@
+import { createSvg } from "../dom";
 import type { CalibrationResult } from "../wire";
 
-const SVG = "http://www.w3.org/2000/svg";
 const BOX = { left: 66, right: 590, top: 10, bottom: 250 };
 const TICKS = 5;
 
@@ -15,11 +15,11 @@ export function plot(svg: SVGElement, { axes, x, y, line_x, line_y }: Points): v
     const atX = across.from + (n / TICKS) * across.span;
     const atY = up.from + (n / TICKS) * up.span;
     parts.push(label(across.of(atX), BOX.bottom + 18, atX, "middle"), label(BOX.left - 8, up.of(atY) + 5, atY, "end"));
-    parts.push(make("line", { x1: BOX.left, x2: BOX.right, y1: up.of(atY), y2: up.of(atY), class: "grid" }));
+    parts.push(createSvg("line", { x1: BOX.left, x2: BOX.right, y1: up.of(atY), y2: up.of(atY), class: "grid" }));
   }
   const line = line_x.map((each, n) => `${across.of(each)},${up.of(line_y[n] ?? 0)}`).join(" ");
-  parts.push(make("polyline", { points: line, class: "fit" }));
-  parts.push(...x.map((each, n) => make("circle", { cx: across.of(each), cy: up.of(y[n] ?? 0), r: 3, class: "reading" })));
+  parts.push(createSvg("polyline", { points: line, class: "fit" }));
+  parts.push(...x.map((each, n) => createSvg("circle", { cx: across.of(each), cy: up.of(y[n] ?? 0), r: 3, class: "reading" })));
   const [below = "", beside = ""] = axes;
   parts.push(text((BOX.left + BOX.right) / 2, BOX.bottom + 42, below, "middle"));
   const title = text(14, (BOX.top + BOX.bottom) / 2, beside, "middle");
@@ -38,13 +38,7 @@ function label(x: number, y: number, value: number, anchor: string): SVGElement 
 }
 
 function text(x: number, y: number, content: string, anchor: string): SVGElement {
-  const element = make("text", { x, y, "text-anchor": anchor });
+  const element = createSvg("text", { x, y, "text-anchor": anchor });
   element.textContent = content;
-  return element;
-}
-
-function make(tag: string, attributes: Record<string, string | number>): SVGElement {
-  const element = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
   return element;
 }

@@ -1,5 +1,6 @@
 import { find, setAttribute, setData, setHidden, setText } from "../dom";
 import { count, elapsed } from "../format";
+import { serverTimeMs } from "../live/clock";
 import { messageOf, postJson } from "../live/rest";
 import type { Person } from "../shell/person";
 import type { StopRequest, StudyRun } from "../wire";
@@ -41,7 +42,7 @@ export class RunningStudy {
 
   render(): void {
     if (!this.run) return;
-    const ms = Date.now() - Date.parse(this.run.started_at);
+    const ms = serverTimeMs() - Date.parse(this.run.started_at);
     setText(find(this.root, "study-now-time"), `${elapsed(ms)}${leftInWords(this.run, ms)}`);
   }
 

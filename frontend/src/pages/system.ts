@@ -1,5 +1,6 @@
 import { create, fill, find, setData } from "../dom";
 import { bytes, duration } from "../format";
+import { serverTimeMs } from "../live/clock";
 import { showHints } from "../shell/hints";
 import type { Page } from "../shell/router";
 import type { ConstantInfo, System } from "../wire";
@@ -38,14 +39,14 @@ export class SystemPage implements Page {
   private onAnswer(system: System): number {
     showFacts(find(this.root, "service-facts"), {
       Machine: system.machine,
-      "Up for": duration(Date.now() - Date.parse(system.started_at)),
+      "Up for": duration(serverTimeMs() - Date.parse(system.started_at)),
       Started: dateTime(system.started_at),
       "Data folder": system.data_folder,
       "Free disk": system.free_disk_bytes === null ? "the folder is gone" : bytes(system.free_disk_bytes),
     });
-    showFacts(find(this.root, "service-workers"), system.workers);
+    showFacts(find(this.root, "service-workers"), nameWorkers(system.workers));
     for (const dd of find(this.root, "service-workers").querySelectorAll("dd")) setData(dd, "warn", String(dd.textContent === "faulted"));
-    showFacts(find(this.root, "service-realtime"), system.realtime);
+    showFacts(find(this.root, "service-realtime"), nameWorkers(system.realtime));
     showFacts(find(this.root, "service-versions"), system.versions);
     showCalibration(this.root, system);
     this.showConfiguration(system);
@@ -60,6 +61,11 @@ export class SystemPage implements Page {
     find(this.root, "configuration-tool").replaceChildren(...configuration(tool));
     find(this.root, "configuration-settings").replaceChildren(...configuration(settings));
   }
+}
+
+/** Returns what is known of each worker by its name for people; "guard" is the safety monitor's key in the REST interface. */
+function nameWorkers(facts: Record<string, string>): Record<string, string> {
+  return Object.fromEntries(Object.entries(facts).map(([key, value]) => [key === "guard" ? "safety monitor" : key, value]));
 }
 
 function showCalibration(root: HTMLElement, { tool, force_scale: scale, constants }: System): void {

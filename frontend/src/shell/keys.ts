@@ -60,4 +60,6 @@ export function keepListsInThePage(root: ParentNode): void {
 }
 
 const isField = (target: EventTarget | null): boolean =>
-  (target instanceof HTMLInputElement && target.type !== "range") || target instanceof HTMLSelectElement;
+  (target instanceof HTMLInputElement && target.type !== "range") ||
+  target instanceof HTMLSelectElement ||
+  target instanceof HTMLTextAreaElement;

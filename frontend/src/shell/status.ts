@@ -2,9 +2,9 @@ import { byId, setAttribute, setData, setHidden, setText } from "../dom";
 import { bytes, duration, fixed, inOneLine, NO_VALUE } from "../format";
 import type { Model } from "../live/model";
 import { pageAlarm, type ShownAlarm } from "./alarms";
-import type { ToolKind } from "../wire";
+import type { ToolInfo, ToolKind } from "../wire";
 
-const KIND: Record<ToolKind, string> = { simulated: "SIMULATED", nidaq: "REAL TOOL", recording: "NO TOOL" };
+const KIND: Record<ToolKind, string> = { simulated: "SIMULATED", nidaq: "REAL TOOL", serial: "NO MOTOR", recording: "NO TOOL" };
 /** Weight of the old mean at each frame: averages over about one second at 30 frames a second. */
 const MEAN_WEIGHT = 0.97;
 const LOW_DISK_BYTES = 1e9;
@@ -18,7 +18,7 @@ export class StatusStrip {
   render(): void {
     const { hello, state } = this.model;
     setData(byId("tool"), "kind", hello?.tool.kind ?? "none");
-    setText(byId("tool-kind"), hello ? `${KIND[hello.tool.kind]}${state?.demo ? " · DEMO" : ""}` : "NOT CONNECTED");
+    setText(byId("tool-kind"), hello ? `${this.kindOf(hello.tool)}${state?.demo ? " · DEMO" : ""}` : "NOT CONNECTED");
     setText(byId("tool-title"), this.titleInWords());
     setHidden(byId("demo"), !state?.demo);
     setText(byId("demo"), state?.demo ? `Demonstration: ${state.demo}` : "");
@@ -51,6 +51,10 @@ export class StatusStrip {
     setText(byId("status-recording"), words());
     setData(byId("status-recording"), "warn", String((recording?.problem ?? null) !== null));
     setAttribute(byId("status-recording"), "title", recording?.problem ?? recording?.file ?? "");
+  }
+
+  private kindOf({ kind, has_motor: hasMotor }: ToolInfo): string {
+    return kind === "nidaq" && !hasMotor ? KIND.serial : KIND[kind];
   }
 
   private titleInWords(): string {

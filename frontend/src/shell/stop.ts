@@ -32,13 +32,14 @@ export class StopButton {
       if (attempt !== this.latest) return;
       this.failedAt = null;
       this.stoppedRun = answer.run?.id ?? null;
-      this.showMessage(`${inWords(answer)} (${clockTime(pressedAt)})`, "done");
+      this.showMessage(`${inWords(answer, this.model.hasMotor)} (${clockTime(pressedAt)})`, "done");
       setTimeout(() => attempt === this.latest && setHidden(this.message, true), SUCCESS_SHOWN_MS);
     } catch (error) {
       if (attempt !== this.latest) return;
       this.failedAt = pressedAt;
       const what = error instanceof Refused ? "STOP was refused" : "STOP could not be sent";
-      this.showMessage(`${what} – use the hardware switch. ${clockTime(pressedAt)}: ${messageOf(error)}.`, "failed");
+      const advice = this.model.hasMotor ? " – use the hardware switch" : "";
+      this.showMessage(`${what}${advice}. ${clockTime(pressedAt)}: ${messageOf(error)}.`, "failed");
     } finally {
       if (attempt === this.latest) setAttribute(byId("stop"), "aria-busy", "false");
     }
@@ -58,7 +59,7 @@ export class StopButton {
       this.standsStill(this.failedAt);
       return [];
     }
-    return [pageAlarm("page:stop", "high", "STOP not sent: use the hardware switch", this.failedAt)];
+    return [pageAlarm("page:stop", "high", this.model.hasMotor ? "STOP not sent: use the hardware switch" : "STOP not sent: nothing moves, but the run goes on", this.failedAt)];
   }
 
   private standsStill(pressedAt: number): void {
@@ -67,7 +68,8 @@ export class StopButton {
     this.failedAt = null;
     this.stoppedRun = null;
     const why = run?.why ? ` Last run ${run.state}: ${run.why}.` : "";
-    this.showMessage(`The motor is at zero now. STOP of ${clockTime(pressedAt)} did not come through.${why}`, "done");
+    const now = this.model.hasMotor ? "The motor is at zero now" : "No run is under way now";
+    this.showMessage(`${now}. STOP of ${clockTime(pressedAt)} did not come through.${why}`, "done");
     setTimeout(() => attempt === this.latest && setHidden(this.message, true), SUCCESS_SHOWN_MS);
   }
 
@@ -78,8 +80,9 @@ export class StopButton {
   }
 }
 
-function inWords({ stopped, run }: StopAnswer): string {
-  if (!stopped) return "STOP: nothing was running. The motor is at zero.";
+function inWords({ stopped, run }: StopAnswer, hasMotor: boolean): string {
+  const atZero = hasMotor ? " The motor is at zero." : "";
+  if (!stopped) return `STOP: nothing was running.${atZero}`;
   const after = run ? ` ${run.protocol} after ${count(run.grasps, "grasp")}` : " the run";
-  return `STOPPED${after}. The motor is at zero.`;
+  return `STOPPED${after}.${atZero}`;
 }

@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquisition.bench import fits
+from acquisition.bench.calibration_bench import CalibrationBench, extract_recorded_force_passes
 from acquisition.bench.checks import RawSignals
-from acquisition.bench.fits import CalibrationFit, FittedConstant, LoadingPass
-from acquisition.bench.readings import CalibrationBench, extract_recorded_passes
+from acquisition.bench.fits import CalibrationFit, FittedConstant, ForcePass
 from acquisition.drivers.nidaq import NidaqSource
 from acquisition.recordings.recording import RecordingSource
 from acquisition.signals.calibration import compute_jaw_signals
@@ -21,6 +21,7 @@ from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
 from config.errors import CalibrationError, ToolError
 from config.load import load_library, load_tool
+from config.schema import ForceLaw
 
 TOOL, LIBRARY = load_tool("simulated"), load_library("porcine")
 PULLS_N = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 5.0, 0.0)
@@ -56,17 +57,26 @@ class Laboratory:
         return fits.fit_strain(pulls_n, [self.bench.read_under_pull(pull_n) for pull_n in pulls_n], TOOL)
 
     def force_scale(self, pulls_n=PULLS_N, load_cell_error: float = 0.01) -> CalibrationFit:
-        """The jaws are held open by a load cell, and pulls on the handle press them on it."""
+        """The jaws are held open by a load cell, and pulls on the handle press them on it.
+
+        The tool file has the law of the truth, and another scale.
+        """
         readings = [self.bench.read_under_pull(pull_n) for pull_n in pulls_n]
         tensions_v = np.array(pulls_n) / self.truth.calibration.newton_per_volt
         shown = compute_jaw_signals(self.truth, tensions_v, tensions_v * self.truth.calibration.encoder_deg_per_volt)
-        return fits.fit_force_scale(shown.force_n, readings, TOOL, load_cell_error)
+        assumed = TOOL.calibration.jaw_force_scale.model_copy(
+            update={"law": self.truth.calibration.jaw_force_scale.law}
+        )
+        calibration = TOOL.calibration.model_copy(update={"jaw_force_scale": assumed})
+        return fits.fit_force_scale(
+            shown.force_n, readings, TOOL.model_copy(update={"calibration": calibration}), load_cell_error
+        )
 
     def stretch(self) -> CalibrationFit:
-        return fits.fit_stretch(self.bench.read_closed_jaws(), TOOL)
+        return fits.fit_cable_stretch(self.bench.sweep_force_on_empty_jaws(), TOOL)
 
     def geometry(self, gauges_m=GAUGES_M) -> CalibrationFit:
-        return fits.fit_geometry(gauges_m, [self.bench.read_on_gauge(gauge_m) for gauge_m in gauges_m], TOOL)
+        return fits.fit_geometry(gauges_m, [self.bench.sweep_force_on_gauge(gauge_m) for gauge_m in gauges_m], TOOL)
 
 
 def refused(what: Callable[[], CalibrationFit], says: str, error: Refusal = CalibrationError) -> None:
@@ -86,13 +96,17 @@ def test_the_strain_gain_comes_out_within_one_percent(newton_per_volt: float, se
     assert gain.low < gain.value < gain.high
 
 
+@pytest.mark.parametrize(("law", "unit"), [(ForceLaw.EQUATION_2, "of Eq. (2)"), (ForceLaw.CONSTANT, "N/V")])
 @given(scale=st.floats(0.05, 1.0), seed=st.integers(0, 10**6))
 @FEW
-def test_the_force_scale_comes_out_within_one_percent_and_its_interval_holds_the_truth(scale: float, seed: int) -> None:
-    truth = TOOL.calibration.jaw_force_scale.model_copy(update={"value": scale})
+def test_the_force_scale_comes_out_within_one_percent_and_its_interval_holds_the_truth(
+    law: ForceLaw, unit: str, scale: float, seed: int
+) -> None:
+    truth = TOOL.calibration.jaw_force_scale.model_copy(update={"law": law, "value": scale})
     [found] = Laboratory(jaw_force_scale=truth, seed=seed).force_scale().constants
     assert within(found, scale)
     assert found.low < scale < found.high
+    assert found.unit == unit
 
 
 def test_the_error_of_the_load_cell_widens_the_interval_of_the_force_scale() -> None:
@@ -183,19 +197,19 @@ def test_a_bridge_with_its_wires_exchanged_is_named() -> None:
 
 def test_an_encoder_that_slips_is_told_from_a_stretch() -> None:
     strain_v = np.linspace(0.1, 0.4, 6)
-    passes = [LoadingPass(strain_v, 100.0 + 20.0 * strain_v) for _ in range(6)]
-    refused(lambda: fits.fit_stretch(passes, TOOL), "20.0 deg/V, the tool file says 52.2: the encoder slips")
+    passes = [ForcePass(strain_v, 100.0 + 20.0 * strain_v) for _ in range(6)]
+    refused(lambda: fits.fit_cable_stretch(passes, TOOL), "20.0 deg/V, the tool file says 52.2: the encoder slips")
 
 
 def test_passes_that_disagree_are_no_stretch() -> None:
     strain_v = np.linspace(0.1, 0.4, 6)
-    passes = [LoadingPass(strain_v, 100.0 + slope * strain_v) for slope in (40.0, 52.0, 65.0)]
-    refused(lambda: fits.fit_stretch(passes, TOOL), "scatters by 12.5 from pass to pass")
+    passes = [ForcePass(strain_v, 100.0 + slope * strain_v) for slope in (40.0, 52.0, 65.0)]
+    refused(lambda: fits.fit_cable_stretch(passes, TOOL), "scatters by 12.5 from pass to pass")
 
 
 def test_gauges_that_are_named_wrong_are_refused() -> None:
     bench = Laboratory().bench
-    passes = [bench.read_on_gauge(gauge_m) for gauge_m in (0.0, 0.002, 0.0045, 0.006)]
+    passes = [bench.sweep_force_on_gauge(gauge_m) for gauge_m in (0.0, 0.002, 0.0045, 0.006)]
     refused(lambda: fits.fit_geometry((0.0, 0.002, 0.004, 0.006), passes, TOOL), "lies .* mm off")
     refused(lambda: fits.fit_geometry((0.006, 0.004, 0.002, 0.0), passes, TOOL), "shut no further")
 
@@ -244,18 +258,20 @@ def test_two_programs_on_one_board_are_told() -> None:
 # --- the recordings of 2013 ------------------------------------------------------------------------------------------
 
 
-def recorded_passes(recordings: list[Path], name: str) -> list[LoadingPass]:
+def recorded_passes(recordings: list[Path], name: str) -> list[ForcePass]:
     [path] = [path for path in recordings if path.name.startswith(name)]
-    return extract_recorded_passes(RecordingSource(path, load_tool("smart_tool_2013")))
+    return extract_recorded_force_passes(RecordingSource(path, load_tool("smart_tool_2013")))
 
 
 @pytest.mark.parametrize("name", ["bladder4Hz1", "gallbladder4Hz1", "liver4Hz1"])
 def test_recordings_give_the_stretch_of_the_paper(recordings: list[Path], name: str) -> None:
-    [found] = fits.fit_stretch(recorded_passes(recordings, name), TOOL).constants
+    [found] = fits.fit_cable_stretch(recorded_passes(recordings, name), TOOL).constants
     assert 49.0 <= found.value <= 53.0
 
 
 @pytest.mark.parametrize("name", ["ureter025Hz1", "ureter4Hz1"])
 def test_the_recording_whose_encoder_slips_is_refused(recordings: list[Path], name: str) -> None:
     passes = recorded_passes(recordings, name)
-    refused(lambda: fits.fit_stretch(passes, TOOL), r"2[01]\.\d deg/V, the tool file says 52.2: the encoder slips")
+    refused(
+        lambda: fits.fit_cable_stretch(passes, TOOL), r"2[01]\.\d deg/V, the tool file says 52.2: the encoder slips"
+    )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from acquisition.acquisition_loop import READBACK_TOLERANCE_V, AcquisitionController
 from acquisition.bench import fits
-from acquisition.bench.readings import CalibrationBench
+from acquisition.bench.calibration_bench import CalibrationBench
 from acquisition.drivers.nidaq import NidaqSource
 from acquisition.notices import RunOutcome
 from acquisition.safety.force_limiter import ForceLimiter
@@ -148,8 +148,8 @@ def test_a_calibration_whose_program_is_held_up_again_and_again_comes_out_right(
     def put(pull_n: float, gauge_m: float) -> None:
         grasper.handle_pull_n, grasper.gauge_m = pull_n, gauge_m
 
-    [stretch] = fits.fit_stretch(
-        CalibrationBench(TOOL, create_in_process_options(board), clock, put).read_closed_jaws(), TOOL
+    [stretch] = fits.fit_cable_stretch(
+        CalibrationBench(TOOL, create_in_process_options(board), clock, put).sweep_force_on_empty_jaws(), TOOL
     ).constants
     assert stretch.value == pytest.approx(TOOL.calibration.encoder_deg_per_volt, rel=0.01)
     assert board.output_v == 0.0

@@ -6,7 +6,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.recordings.protobuf_rows import Column, RowLayout
+from acquisition.recordings.protobuf_rows import ColumnSpec, RowLayout
 
 NAMES = st.lists(st.from_regex(r"[a-z][a-z0-9_]{0,6}[a-z0-9]", fullmatch=True), min_size=1, max_size=40, unique=True)
 
@@ -16,9 +16,9 @@ def layouts(draw: st.DrawFn) -> RowLayout:
     """Plain columns, then groups of columns."""
     names = draw(NAMES)
     plain = draw(st.integers(1, len(names)))
-    columns = [Column(name, draw(st.sampled_from(["f8", "i8", "u4"]))) for name in names[:plain]]
+    columns = [ColumnSpec(name, draw(st.sampled_from(["f8", "i8", "u4"]))) for name in names[:plain]]
     inside = draw(st.lists(st.sampled_from(["alpha", "beta", "force"]), min_size=1, unique=True))
-    columns += [Column(name, group=group) for group in names[plain:] for name in inside]
+    columns += [ColumnSpec(name, group=group) for group in names[plain:] for name in inside]
     return RowLayout("Things", columns)
 
 
@@ -57,7 +57,7 @@ def test_protobufs_own_reader_finds_every_number(layout: RowLayout, seed: int) -
 
 
 def test_a_message_of_another_layout_is_refused() -> None:
-    one = RowLayout("A", [Column("a"), Column("b", "u4")])
-    other = RowLayout("A", [Column("a", "u4"), Column("b")])
+    one = RowLayout("A", [ColumnSpec("a"), ColumnSpec("b", "u4")])
+    other = RowLayout("A", [ColumnSpec("a", "u4"), ColumnSpec("b")])
     with pytest.raises(ValueError, match="another layout"):
         one.decode(other.encode_rows({"a": np.ones(1, "u4"), "b": np.ones(1)}))

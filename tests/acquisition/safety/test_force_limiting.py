@@ -9,7 +9,7 @@ from simulation import WatchedGrasper
 from acquisition.acquisition_loop import AcquisitionController
 from acquisition.drivers.nidaq import NidaqSource
 from acquisition.notices import RunOutcome
-from acquisition.protocol_player import command_cycle
+from acquisition.protocol_player import build_cycle_command
 from acquisition.safety.force_limiter import LIMIT_RISE_N_PER_S, SETPOINT_SHARE, THRESHOLD_SETTLING_S, ForceLimiter
 from acquisition.safety_state_machine import Safety
 from acquisition.sample_block import SampleFlag
@@ -110,7 +110,7 @@ def measured_n(samples: np.ndarray) -> np.ndarray:
 
 
 def test_without_the_limiter_the_strong_protocol_would_injure_a_bladder():
-    command_v = command_cycle(STRONG, TOOL).max()
+    command_v = build_cycle_command(STRONG, TOOL).max()
     assert float(TOOL.command_to_force.to_force_n(command_v)) > LIBRARY.threshold_n("bladder") == LOWEST_N
 
 
@@ -161,7 +161,7 @@ def test_the_hold_ends_with_the_protocols_and_the_next_grasp_is_held_as_well():
 
 def test_exactly_the_samples_are_flagged_whose_command_is_lower_than_the_protocol_asks():
     samples = run().samples
-    wanted_v = command_cycle(STRONG, TOOL)[::5].repeat(5)
+    wanted_v = build_cycle_command(STRONG, TOOL)[::5].repeat(5)
     begin = int(np.flatnonzero(samples["motor_command_v"] > 0)[0]) - 5  # the first block of a cycle asks for 0 V
     played_v = samples["motor_command_v"][begin : begin + len(wanted_v)]
     held = samples["flags"][begin : begin + len(wanted_v)] & HELD_BACK > 0

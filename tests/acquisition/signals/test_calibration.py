@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.signals.calibration import JawSignals, compute_jaw_signals, compute_sensor_signals
+from acquisition.signals.calibration import JawSignals, compute_jaw_signals, compute_sensor_signals_from_jaws
 from config.load import load_tool
 from config.schema import ForceScale
 
@@ -66,7 +66,7 @@ def test_force_and_displacement_are_the_papers(strain_v: float, encoder_deg: flo
 def test_going_back_to_the_sensors_and_forth_gives_the_same_force_and_displacement(
     force_n: float, displacement_m: float
 ) -> None:
-    signals = jaw(*compute_sensor_signals(TOOL, force_n, displacement_m))
+    signals = jaw(*compute_sensor_signals_from_jaws(TOOL, force_n, displacement_m))
     assert signals.valid[0]
     assert signals.force_n[0] == pytest.approx(force_n, rel=1e-11, abs=1e-12)
     assert signals.displacement_m[0] == pytest.approx(displacement_m, rel=1e-9, abs=1e-14)
@@ -76,7 +76,9 @@ def test_going_back_to_the_sensors_and_forth_gives_the_same_force_and_displaceme
 def test_going_forth_and_back_gives_the_same_volts_and_degrees(strain_v: float, handle_deg: float) -> None:
     encoder_deg = handle_deg * 188 / 18 + 52.189 * strain_v
     signals = jaw(strain_v, encoder_deg)
-    back_v, back_deg = compute_sensor_signals(TOOL, float(signals.force_n[0]), float(signals.displacement_m[0]))
+    back_v, back_deg = compute_sensor_signals_from_jaws(
+        TOOL, float(signals.force_n[0]), float(signals.displacement_m[0])
+    )
     assert back_v == pytest.approx(strain_v, rel=1e-11, abs=1e-12)
     assert back_deg == pytest.approx(encoder_deg, abs=1e-8)  # a millionth of an encoder count
 
@@ -150,7 +152,7 @@ def test_wherever_it_is_valid_a_closing_handle_closes_the_jaws() -> None:
 @pytest.mark.parametrize("displacement_m", [0.03, -0.02, 0.025, math.nan])
 def test_a_displacement_out_of_reach_has_no_way_back(displacement_m: float) -> None:
     with pytest.raises(ValueError, match="displacement"):
-        compute_sensor_signals(TOOL, 1.0, displacement_m)
+        compute_sensor_signals_from_jaws(TOOL, 1.0, displacement_m)
 
 
 def test_at_rest_one_encoder_count_is_about_a_micrometre() -> None:
@@ -161,13 +163,13 @@ def test_at_rest_one_encoder_count_is_about_a_micrometre() -> None:
 def test_strain_noise_of_2_mv_is_12_um_of_displacement_and_12_to_21_mn_of_force_with_opposite_signs() -> None:
     rest, closed = (
         jaw(0.0, 0.0),
-        jaw(*compute_sensor_signals(TOOL, 0.0, 0.0081)),
+        jaw(*compute_sensor_signals_from_jaws(TOOL, 0.0, 0.0081)),
     )  # free travel and the bladder's 7.6 mm at 2 N
     assert round(rest.metre_per_volt[0] * 2e-3 * 1e6) == -12
     assert round(rest.newton_per_volt[0] * 2e-3, 3) == 0.012
     assert round(closed.newton_per_volt[0] * 2e-3, 3) == 0.021
     rng = np.random.default_rng(0)
-    volts, degrees = compute_sensor_signals(TOOL, 0.5, 0.001)
+    volts, degrees = compute_sensor_signals_from_jaws(TOOL, 0.5, 0.001)
     noisy = compute_jaw_signals(TOOL, volts + 0.002 * rng.standard_normal(2000), np.full(2000, degrees))
     correlation = np.corrcoef(noisy.force_n, noisy.displacement_m)[0, 1]
     assert correlation < -0.9999  # perfect but for the curvature over 2 mV

@@ -15,7 +15,7 @@ from simulation import SIGNALS, cut, joined, raw_block, simulate_raw, with_signa
 from acquisition.drivers.source import RawBlock
 from acquisition.recordings.recording import RecordingSource
 from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock, SampleFlag
-from acquisition.signals.calibration import compute_sensor_signals
+from acquisition.signals.calibration import compute_sensor_signals_from_jaws
 from acquisition.signals.pipeline import ConditioningPipeline
 from config.load import load_grasp_protocol, load_tool
 from config.schema import ConditioningSettings, Tool
@@ -53,7 +53,7 @@ def sensors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Strain voltage and encoder angle of a noiseless tool whose jaws do this."""
     pairs = [
-        compute_sensor_signals(TOOL, force, displacement)
+        compute_sensor_signals_from_jaws(TOOL, force, displacement)
         for force, displacement in zip(force_n, displacement_m, strict=True)
     ]
     strain_v, encoder_deg = np.array(pairs).T

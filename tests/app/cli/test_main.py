@@ -45,6 +45,7 @@ GRASP_KEYS = {
     "force_error_n",
     "valid",
     "why_invalid",
+    "held_back",
     "peak_share_of_limit",
 }
 
@@ -97,8 +98,8 @@ def runs() -> dict[str, Answer]:
     wanted = ("run", "trapezoid_2hz", "--json", "--cycles", str(CYCLES), "--seed")
     return each(
         {
-            **{tissue: (*wanted, "1", "--tissue", tissue) for tissue in TISSUES},
-            "bladder again": (*wanted, "1", "--tissue", "bladder"),
+            **{tissue: (*wanted, "6", "--tissue", tissue) for tissue in TISSUES},
+            "bladder again": (*wanted, "6", "--tissue", "bladder"),
         }
     )
 
@@ -156,12 +157,15 @@ def test_grasps_are_where_the_protocol_put_them_and_as_strong_as_it_asked(runs: 
 def test_estimates_of_the_parameters_lie_where_specimens_of_the_tissue_lie(
     runs: dict[str, Answer], tissue: str
 ) -> None:
-    profile, spread = load_library("porcine").tissues[tissue], load_library("porcine").spread
+    library = load_library("porcine")
+    held, beta_per_m = library.held_alpha(tissue), library.tissues[tissue].beta_per_m
     named = [grasp for grasp in runs[tissue].document["grasps"] if grasp["label"] == tissue]
-    for key, sd in (("alpha_n", spread.log_alpha), ("beta_per_m", spread.log_beta)):
-        logs = [math.log(grasp[key] / getattr(profile, key)) for grasp in named]
-        # the mean of specimens within four SD of a mean of five, the least that a majority of ten leaves
-        assert abs(math.fsum(logs) / len(logs)) < 4 * sd / math.sqrt(5)
+    for key, usual, sd in (
+        ("alpha_n", held.median_n, held.log_sd),
+        ("beta_per_m", beta_per_m, library.spread.log_beta),
+    ):
+        logs = [math.log(grasp[key] / usual) for grasp in named]
+        assert abs(math.fsum(logs) / len(logs)) < 4 * sd  # all grasps are on one spot
 
 
 @pytest.mark.parametrize("tissue", ["bladder", "gallbladder"])
@@ -170,13 +174,16 @@ def test_soft_tissues_are_named_rightly_nearly_always(runs: dict[str, Answer], t
 
 
 @pytest.mark.parametrize("tissue", ["liver", "small_bowel"])
-def test_liver_and_small_bowel_overlap_but_most_that_are_decided_are_decided_rightly(
+def test_liver_and_small_bowel_overlap_but_most_grasps_are_likeliest_right_and_so_are_most_names(
     runs: dict[str, Answer], tissue: str
 ) -> None:
-    found = labels(runs[tissue].document)
-    decided = CYCLES - found["undecided"]
-    assert decided >= CYCLES / 2
-    assert found[tissue] > decided / 2
+    document = runs[tissue].document
+    likeliest = Counter(
+        max(grasp["probabilities"].items(), key=lambda each: each[1])[0] for grasp in document["grasps"]
+    )
+    assert likeliest[tissue] > CYCLES / 2
+    found = labels(document)
+    assert found[tissue] > (CYCLES - found["undecided"]) / 2
 
 
 def test_the_same_seed_gives_the_same_document(runs: dict[str, Answer]) -> None:
@@ -199,8 +206,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     porcine = (CONFIG_DIR / "tissues/porcine.toml").read_text()
     two = porcine[: porcine.index("[tissues.liver]")] + porcine[porcine.index("[tissues.bladder]") :]
     (folder / "two.toml").write_text(two.replace('name = "porcine"', 'name = "two"'))
-    (folder / "bad_library.toml").write_text(two.replace("alpha_n", "alpha_mn").replace("0.026", '"thick"'))
+    (folder / "bad_library.toml").write_text(two.replace("alpha_pa", "alpha_mpa").replace("0.026", '"thick"'))
+    for name in ("tissues", "protocols"):
+        (folder / name).mkdir()
+    (folder / "tissues/own_two.toml").write_text(two.replace('name = "porcine"', 'name = "own_two"'))
     trapezoid = (CONFIG_DIR / "protocols/trapezoid_2hz.toml").read_text()
+    (folder / "protocols/gentle.toml").write_text(trapezoid.replace('name = "trapezoid_2hz"', 'name = "gentle"'))
     (folder / "strong.toml").write_text(trapezoid.replace("peak_v = 2.0", "peak_v = 3.6"))
     settings = (CONFIG_DIR / "graspwatch.toml").read_text()
     (folder / "bad_settings.toml").write_text(settings.replace("port = 8000", 'port = "http"'))
@@ -225,6 +236,19 @@ def others(folder: Path) -> dict[str, Answer]:
                 "--library",
                 folder / "two.toml",
             ),
+            "own": (
+                "run",
+                "gentle",
+                "--tissue",
+                "gallbladder",
+                "--json",
+                "--cycles",
+                "1",
+                "--library",
+                "own_two",
+                "--data",
+                folder,
+            ),
             "gap": ("replay", "--json", "--tool", "nidaq", folder / "gap.lvm"),
             "both": ("replay", "--json", "--tool", "nidaq", folder / "gallbladder.lvm", folder / "bladder.lvm.gz"),
         }
@@ -234,6 +258,12 @@ def others(folder: Path) -> dict[str, Answer]:
 @pytest.fixture(scope="module")
 def table() -> Answer:
     return graspwatch("run", "trapezoid_4hz", "--tissue", "gallbladder", "--cycles", "2", columns=80)
+
+
+def test_own_protocols_and_libraries_of_the_data_folder_are_chosen_by_name(others: dict[str, Answer]) -> None:
+    document = others["own"].document
+    assert (document["library"], len(document["grasps"])) == ("own_two", 1)
+    assert document["grasps"][0]["probabilities"] == others["two"].document["grasps"][0]["probabilities"]
 
 
 def test_without_json_it_prints_a_table_with_a_row_for_each_grasp(table: Answer) -> None:
@@ -250,6 +280,16 @@ def test_a_table_names_every_tissue_in_full_on_a_terminal_of_80_columns(table: A
     assert "│ gallbladder " in table.out
 
 
+def test_a_run_says_in_which_grasps_the_limiter_held_the_motor_back(runs: dict[str, Answer], table: Answer) -> None:
+    strong = ("run", "strong_2hz", "--tissue", "liver", "--cycles", "2")
+    held = each({"table": strong, "json": (*strong, "--json")})
+    assert [grasp["held_back"] for grasp in held["json"].document["grasps"]] == [True, True]
+    assert "The limiter held the motor back in grasps 1, 2" in held["table"].told
+    assert held["table"].out.count("held back") == 2
+    assert not any(grasp["held_back"] for grasp in runs["gallbladder"].document["grasps"])
+    assert "held" not in table.out + table.told
+
+
 def test_a_table_tells_what_an_undecided_grasp_most_likely_is(folder: Path) -> None:
     """Liver and small bowel overlap too much for one to be 99 % in each of six grasps."""
     asked = ("run", "trapezoid_4hz", "--tissue", "liver", "--cycles", "6", "--config", folder / "hesitant.toml")
@@ -260,8 +300,8 @@ def test_a_table_tells_what_an_undecided_grasp_most_likely_is(folder: Path) -> N
     assert labels(answers["json"].document)["undecided"] >= 1
     for grasp, remark in zip(grasps, remarks, strict=True):
         tissue, share = max(grasp["probabilities"].items(), key=lambda item: item[1])
-        wanted = f"likeliest: {tissue.replace('_', ' ')}, {100 * share:.0f} %"
-        assert remark == (wanted if grasp["label"] == "undecided" else "")
+        said = [f"likeliest: {tissue.replace('_', ' ')}, {100 * share:.0f} %"] if grasp["label"] == "undecided" else []
+        assert remark == "; ".join([*said, *(["held back"] if grasp["held_back"] else [])])
 
 
 def test_a_library_of_ones_own_is_taken_from_its_file(others: dict[str, Answer]) -> None:
@@ -306,7 +346,7 @@ def test_a_tissue_that_is_not_in_the_library_is_never_named_as_one_that_is(recor
     path = next(path for path in recordings if path.name.startswith("ureter4Hz1"))
     document = graspwatch("replay", "--json", path).document
     assert len(document["grasps"]) == 19
-    assert set(labels(document)) <= {"unknown", "undecided", "no_answer"}
+    assert set(labels(document)) == {"no_answer"}
 
 
 # --- refusals ---------------------------------------------------------------------------------------------------------
@@ -346,16 +386,16 @@ def refusals(folder: Path, taken_port: int) -> dict[str, Answer]:
     ("call", "code", "told"),
     [
         ("tissue", 2, r"There is no tissue 'livr'\. Did you mean 'liver'\? There is: liver, small_bowel, bladder, "),
-        ("protocol", 2, r"There is no protocol 'trapezoid'\. .*There is: sine, staircase, "),
+        ("protocol", 2, r"There is no protocol 'trapezoid'\. .*There is: by_hand, reference_grasp, sine, staircase, "),
         ("library", 2, r"There is no tissue library 'porcin'\. Did you mean 'porcine'\?"),
-        ("library file", 2, r"6 faults to mend: .*bad_library\.toml: tissues\.bladder\.alpha_n: Field required"),
-        ("library file", 2, r"tissues\.gallbladder\.alpha_mn: unknown key; did you mean 'alpha_n'\?"),
+        ("library file", 2, r"4 faults to mend: .*bad_library\.toml: tissues\.bladder\.thickness_m: Input should be"),
+        ("library file", 2, r"tissues\.gallbladder\.alpha_mpa: unknown key; did you mean 'alpha_pa'\?"),
         ("settings", 2, r"1 fault to mend: .*bad_settings\.toml: server\.port: .*\(found 'http'\)"),
         ("strong", 5, r"asks for 3\.60 V; the tool 'simulated' allows at most 3\.50 V"),
         ("recording", 3, r"none\.lvm: there is no such file"),
         ("cut recording", 3, r"cut\.lvm, line 1001: expected 6 columns, found 2"),
-        ("served fast", 2, r"--serve shows the recording in the dashboard; leave --json and --speed out"),
-        ("served as JSON", 2, r"leave --json and --speed out"),
+        ("served fast", 2, r"--serve shows the recording in the dashboard; leave --json, --speed and --reference out"),
+        ("served as JSON", 2, r"leave --json, --speed and --reference out"),
         ("port", 6, r"Cannot listen on 127\.0\.0\.1, port \d+: Address already in use\. Choose another with --port"),
         ("address", 6, r"Cannot listen on 192\.0\.2\.1"),
         ("real tissue", 2, r"--tissue and --demo are for the simulated grasper"),

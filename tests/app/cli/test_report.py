@@ -51,7 +51,13 @@ def test_it_writes_a_page_and_a_json_and_prints_the_same_json(folder):
     assert [one["held"] for one in document["recordings"]] == ["liver", "bladder"]
     assert [len(one["grasps"]) for one in document["recordings"]] == [3, 3]
     assert {table["title"].split(":")[0] for table in document["tables"]} >= {"Table VI", "Table VII"}
-    assert f'content="{PAGE_KIND}"' in (folder / "two.html").read_text()
+    page = (folder / "two.html").read_text()
+    assert f'content="{PAGE_KIND}"' in page
+    spots = page.split("One answer for each spot")[-1].split("</table>")[0]
+    for recording in document["recordings"]:
+        (spot,) = recording["spots"]
+        assert spot["grasps"] == [1, 2, 3]
+        assert (recording["title"] in spots, spot["label"].capitalize() in spots) == (True, True)
 
 
 def test_an_earlier_report_is_replaced_and_its_verdicts_are_shown(folder):

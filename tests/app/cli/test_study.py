@@ -14,6 +14,7 @@ GRASPWATCH = Path(sys.executable).parent / "graspwatch"
 SMALL = {
     "paper": ["--seeds", "1"],
     "identify": ["--grasps", "3"],
+    "repeated": ["--grasps", "1"],
     "unknown": ["--grasps", "1"],
     "initial": ["--grasps", "1"],
     "mismatch": ["--grasps", "1"],

@@ -246,7 +246,7 @@ def test_lines_that_the_index_missed_are_taken_at_the_next_start(url: URL, tmp_p
         "Run started",
         "An alarm",
     ]
-    assert store.is_first_user
+    assert store.had_no_other_user
     store.close()
 
 
@@ -265,7 +265,7 @@ def test_the_recording_of_a_killed_service_is_taken_at_the_next_start(
 def test_only_one_that_comes_alone_may_say_what_is_under_way(url: URL, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(index_lock, "LOCK_TIMEOUT_S", 0.1)
     one, two = Store(url), Store(url)
-    assert (one.is_first_user, two.is_first_user) == (True, False)
+    assert (one.had_no_other_user, two.had_no_other_user) == (True, False)
     with pytest.raises(ServiceError, match="A service uses the index"):
         Store(url, exclusive=True)
     one.close()

@@ -46,6 +46,7 @@ def app(plan: ServicePlan) -> FastAPI:
         authenticator=Authenticator(plan),
         public_paths=["/api/open"],
         max_body_bytes=1000,
+        max_upload_bytes={"/api/upload": 2000},
     )
 
     @app.post("/api/open")

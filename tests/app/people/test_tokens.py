@@ -1,3 +1,4 @@
+import codecs
 import json
 import stat
 from pathlib import Path
@@ -5,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from app.messages.people import Role
-from app.people.tokens import TokenStore, add_token, read_tokens, revoke_token
+from app.people.tokens import TOKEN_FILE, TokenStore, add_token, read_tokens, revoke_token
 from config.errors import ConfigurationError
 
 
@@ -113,3 +114,10 @@ def test_the_first_token_closes_a_service_that_had_none(tmp_path: Path) -> None:
     add_token(tmp_path, "Ada", Role.ADMIN)
     people.reload_if_changed()
     assert people.requires_token
+
+
+def test_a_byte_order_mark_is_no_content(tmp_path: Path) -> None:
+    add_token(tmp_path, "Ada", Role.VIEWER)
+    tokens, path = read_tokens(tmp_path), tmp_path / TOKEN_FILE
+    path.write_bytes(codecs.BOM_UTF8 + path.read_bytes())
+    assert read_tokens(tmp_path) == tokens

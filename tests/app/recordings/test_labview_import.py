@@ -148,7 +148,7 @@ def test_every_name_that_is_accepted_is_recorded_listed_and_exported(
         ("grasp_0.25Hz.lvm", "grasp_0.25Hz"),
         ("x.mcap", "x"),
         ("x.lvm.lvm", "x.lvm"),
-        ("notes.txt", "notes.txt"),
+        ("notes.pdf", "notes.pdf"),
     ],
 )
 def test_only_the_ending_of_a_recording_is_taken_from_its_name(name: str, stem: str) -> None:

@@ -26,7 +26,7 @@ class Workers:
     killed: list[str] = field(default_factory=list)
     held_up: set[str] = field(default_factory=set)
 
-    def is_blocked(self, name: str) -> bool:
+    def is_kept_from_running(self, name: str) -> bool:
         return name in self.held_up
 
     def kill(self, name: str) -> None:
@@ -58,7 +58,7 @@ def test_an_estimator_that_hangs_is_ended(workers: Workers) -> None:
 def test_a_worker_that_cannot_run_is_told_and_ended_only_after_a_minute(
     workers: Workers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watchdog, "MAX_BLOCKED_S", 1.0)
+    monkeypatch.setattr(watchdog, "MAX_KEPT_FROM_RUNNING_S", 1.0)
     alarms = AlarmManager(lambda message: None)
     dog = Watchdog(workers, alarms, lambda text: None)
     watch_for(dog, 0.1, "acquisition", "estimator")
@@ -91,4 +91,33 @@ def test_what_waits_to_be_read_is_no_silence(workers: Workers) -> None:
     dog.check(own_delay_s=0.4)
     assert not told
     watch_for(dog, 0.5)
-    assert {"No samples arrive from the tool", "The recorder does not answer: nothing is recorded"} <= {*told}
+    assert {
+        "No samples arrive from the tool",
+        "The recorder does not answer: nothing is recorded",
+        "The safety monitor does not answer: a hung acquisition would be noticed late",
+    } <= {*told}
+
+
+def test_an_acquisition_that_waits_for_its_device_is_told_and_never_ended(workers: Workers) -> None:
+    alarms = AlarmManager(lambda message: None)
+    dog = Watchdog(workers, alarms, lambda text: None)
+    end_s = time.monotonic() + 1.0
+    while time.monotonic() < end_s:
+        dog.on_waiting_for_samples("the port is gone: plug it in")
+        watch_for(dog, 0.02)
+    told = "No samples arrive from the tool: the port is gone: plug it in"
+    assert [alarm.text for alarm in alarms.current_alarms()] == [told]
+    assert workers.killed == []
+    watch_for(dog, 0.2, "acquisition", "estimator")
+    assert alarms.current_alarms() == []
+
+
+def test_a_planned_replacement_of_an_acquisition_that_has_waited_is_no_silence(workers: Workers) -> None:
+    alarms = AlarmManager(lambda message: None)
+    dog = Watchdog(workers, alarms, lambda text: None)
+    dog.on_waiting_for_samples("the port is gone: plug it in")
+    watch_for(dog, 0.1, "acquisition", "estimator")
+    dog.forget("acquisition")
+    workers.workers["acquisition"].condition = WorkerCondition.STARTING
+    watch_for(dog, 0.5)
+    assert alarms.current_alarms() == []

@@ -20,9 +20,7 @@ SETTINGS = LAB.settings.identification
 
 def grasp(tissue, seed=5):
     simulated = simulate_grasp(LAB.tool, LAB.library, LAB.settings.conditioning, LAB.protocol, GraspCase(tissue, seed))
-    material = simulated.specimen.material
-    truth = np.log([material.alpha_n, material.beta_per_m, material.damping_kg_per_s])
-    return extract_contact_samples(simulated), truth
+    return extract_contact_samples(simulated), simulated.specimen.log_parameters
 
 
 def follow(identifier, samples, until=300):

@@ -1,12 +1,14 @@
 """Learning and naming, on grasps made by hand."""
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 from learned import learner, pressed
 
 from config.load import load_library, load_settings, load_tool
+from config.schema import SourceConditions
 from estimator.learning.cross_validation import cross_validate, folds
 from estimator.learning.library_fit import find_base_tissue
 from estimator.learning.recorded_grasps import LabeledRecording, RecordedGrasp, extract_loading_curves
@@ -14,6 +16,7 @@ from estimator.loading.learned_evidence import LearnedEvidence
 
 TOOL, BASE, SETTINGS = load_tool("smart_tool_2013"), load_library("porcine"), load_settings()
 LEARN = learner(TOOL, BASE)
+SAME_DAY = SourceConditions(datetime(2026, 1, 1, tzinfo=UTC))
 PARAMETERS = np.log([0.1, 500.0, 5.0])
 STIFFNESS = {"bladder": 0.08, "liver": 0.6}
 
@@ -29,14 +32,14 @@ def recording(label, stiffness, seed=0, grasps=9, gap_deg=120.0):
         )
         for i in range(grasps)
     )
-    return LabeledRecording(label, f"{label}{seed}.lvm", f"{seed:02x}" * 32, made)
+    return LabeledRecording(label, f"{label}{seed}.lvm", f"{seed:02x}" * 32, made, SAME_DAY)
 
 
 RECORDINGS = [recording(label, stiffness, seed) for seed, (label, stiffness) in enumerate(STIFFNESS.items(), 1)]
 
 
 def answers(library, of, first=False):
-    evidence = LearnedEvidence(library, TOOL, SETTINGS.identification)
+    evidence = LearnedEvidence(library, TOOL, SETTINGS.identification, SAME_DAY)
     return np.array([evidence.start_grasp(None, first=first).process(grasp.samples) for grasp in of.grasps[1:]])
 
 
@@ -56,7 +59,7 @@ def test_what_fits_no_tissue_makes_unknown_likelier_and_is_never_named():
 def test_probabilities_sum_to_one_and_begin_at_the_prior():
     library = LEARN(RECORDINGS)
     assert answers(library, RECORDINGS[0]).sum(axis=1) == pytest.approx(1.0)
-    evidence = LearnedEvidence(library, TOOL, SETTINGS.identification)
+    evidence = LearnedEvidence(library, TOOL, SETTINGS.identification, SAME_DAY)
     start = evidence.start_grasp(None, first=False).process(RECORDINGS[0].grasps[1].samples[:3])
     assert start == pytest.approx(evidence.prior)
     assert start[-1] == pytest.approx(library.learned.prior_unknown)

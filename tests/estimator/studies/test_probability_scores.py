@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import norm
 
-from config.load import load_library
-from estimator.studies.probability_scores import bayes_limit, calibration_error, compute_confusion_matrix, score_answers
-
-LIBRARY = load_library("porcine")
+from estimator.studies.probability_scores import calibration_error, compute_confusion_matrix, score_answers
 
 
 def test_score_counts_what_it_says():
@@ -40,22 +36,3 @@ def test_confusion_is_a_share_of_each_truth():
     p = np.eye(3)[[0, 1, 1, 2]]
     table = compute_confusion_matrix(p, np.array([0, 0, 1, 1]), 3)
     assert table.tolist() == [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5]]
-
-
-def test_bayes_limit_is_bayes_rule_on_the_librarys_spreads():
-    seen, thickness_m = np.log([0.7, 2000.0, 3.0]), 0.0065
-    density = []
-    for profile in LIBRARY.tissues.values():
-        value = 1.0
-        for x, centre, sd in zip(
-            [*seen, np.log(thickness_m)],
-            np.log([profile.alpha_n, profile.beta_per_m, profile.damping_kg_per_s, profile.thickness_m]),
-            (0.25, 0.10, 0.30, 0.20),
-            strict=True,
-        ):
-            value *= norm.pdf(x, centre, sd)
-        density.append(value)
-    assert bayes_limit(LIBRARY, seen, thickness_m) == pytest.approx(np.array(density) / sum(density))
-    without = bayes_limit(LIBRARY, seen, None)
-    assert without.sum() == pytest.approx(1.0)
-    assert without[0] != pytest.approx(bayes_limit(LIBRARY, seen, thickness_m)[0])

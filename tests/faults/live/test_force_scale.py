@@ -49,9 +49,7 @@ def test_it_moves_only_for_an_admins_reason_which_stands_in_the_journal(tmp_path
             texts = [line["text"] for line in service.http.get("/api/journal").json()]
             said = f"Armed: tare and self-test passed, without a measured force scale: {WHY['unmeasured_scale']}"
             assert [text for text in texts if text.startswith("Armed")] == [said]
-            path = data / "recordings" / f"{run['id']}.mcap"
-            until(lambda: path.exists() and McapFile(path).complete)
-            assert McapFile(path).metadata["force_scale"] == WORDS
+            assert McapFile(service.recorded(run["id"])).metadata["force_scale"] == WORDS
 
 
 @pytest.mark.long

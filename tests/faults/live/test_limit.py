@@ -62,14 +62,15 @@ def test_the_limit_in_stream_and_file_is_the_limiters_own_also_while_it_rises_an
     streamed = {
         int(header[6]) + i: value for header, columns in frames for i, value in enumerate(columns[column].tolist())
     }
-    shown = 0  # frames may be left out while nobody reads them
+    shown = set()  # frames are left out while nobody reads them: those that came must show the rise and the fall
     for first, limit_n in enforced.items():
         taken = recorded.samples[np.searchsorted(recorded.samples["tick"], first) :][:BLOCK]
         np.testing.assert_array_equal(taken["limit_n"], limit_n)
         there = [streamed[tick] for tick in range(first, first + BLOCK) if tick in streamed]
         assert {*there} <= {float(np.float32(limit_n))}
-        shown += len(there)
-    assert shown > 0.5 * BLOCK * len(enforced)
+        shown |= {limit_n} if there else set()
+    assert LOWEST_N in shown
+    assert len(shown & {*rising}) > 10, "the stream showed it rising"
 
 
 def _recomputed(log, recorded):

@@ -105,7 +105,7 @@ def test_an_error_output_that_nobody_reads_holds_nobody_up(service, board):
     """Its pipe holds 64 kB; a paused terminal does the same."""
     service.run(**LONG)
     board.wait_for_force()
-    os.kill(service.process.pid, signal.SIGRTMIN + 1)
+    os.kill(service.process.pid, SIGNALS["fills its error output"])
     assert stop_took_ms(service, board) <= STOP_S * 1e3
 
 

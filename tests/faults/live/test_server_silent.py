@@ -5,7 +5,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 from boards import ServedBoard
@@ -95,30 +94,3 @@ def test_a_calibration_that_moves_the_jaws_ends_as_well(service: Service, board:
     assert answers[0].status_code >= 400
     assert WHY in answers[0].text
     service.acknowledge_fault()
-
-
-@pytest.fixture
-def another_board(tmp_path: Path) -> Iterator[ServedBoard]:
-    with ServedBoard(tmp_path) as served:
-        yield served
-
-
-def test_a_server_that_is_killed_leaves_the_motor_at_zero_and_the_next_one_says_so(
-    another_board: ServedBoard, tmp_path: Path, reactions
-) -> None:
-    board = another_board
-    with Service("serve", "--tool", str(board.tool_file), data=tmp_path) as service:
-        run = service.run(**LONG)
-        board.wait_for_force()
-        struck_ns = time.monotonic_ns()
-        service.process.kill()
-        took_ms = board.zero_after_ms(struck_ns)
-        reactions.add("server: kill -9", "hold", took_ms, KILLED_MS)
-        assert took_ms <= KILLED_MS
-    path = tmp_path / "recordings" / f"{run['id']}.mcap"
-    until(lambda: McapFile(path).complete)
-    with Service("serve", "--tool", str(board.tool_file), data=tmp_path) as service:
-        found = service.http.get(f"/api/runs/{run['id']}").json()
-        assert found["state"] == "failed"
-        assert "ended from outside" in found["why"]
-        assert board.output_v == 0.0

@@ -10,7 +10,8 @@ import pytest
 from boards import ServedBoard
 from service import Listener, Service, until
 
-from acquisition.bench.jitter import cpu_load
+from acquisition.bench.jitter import keep_cores_busy
+from app.service.workers import display_worker_name
 
 pytestmark = pytest.mark.alone
 
@@ -75,11 +76,11 @@ def test_a_run_goes_on_while_another_worker_is_held_up_and_nothing_is_lost(
     service, board, worker, stalled_s, busy, reactions
 ):
     pids, before = pids_of(service), lost_samples(service)
-    with cpu_load(busy):
+    with keep_cores_busy(busy):
         run = service.run(**LONG)
         board.wait_for_force()
         with Listener(service) as listener, stopped(pids[worker], stalled_s):
-            texts = (worker, "estimates")
+            texts = (display_worker_name(worker), "estimates")
             told_s = listener.listen(lambda: any(text in a["text"] for a in listener.of("alarm") for text in texts))
         reactions.add(f"{worker}: held up: alarm", "hold", told_s * 1e3, ALARM_S * 1e3)
         until(lambda: is_well(service))
@@ -99,7 +100,7 @@ def test_a_run_goes_on_while_another_worker_is_held_up_and_nothing_is_lost(
 )
 def test_a_run_whose_acquisition_was_held_up_has_failed_with_the_motor_at_zero(service, board, stalled_s, busy):
     pids = pids_of(service)
-    with cpu_load(busy):
+    with keep_cores_busy(busy):
         run = service.run(**LONG)
         board.wait_for_force()
         with stopped(pids["acquisition"], stalled_s):

@@ -1,4 +1,4 @@
-"""Runs, grasps, alarms, audit and files."""
+"""Create the index's tables of runs, grasps, alarms, journal lines and files."""
 
 import sqlalchemy as sa
 from alembic import op

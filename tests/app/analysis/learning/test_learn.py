@@ -15,7 +15,7 @@ from app.analysis.headless import replay_recording
 from app.analysis.learning.library_file import library_to_toml
 from app.cli.main import app
 from app.recordings.mcap_writer import RecordingContext
-from config.errors import ConfigurationError, RecordingError
+from config.errors import ConfigurationError, RecordingError, ServiceError
 from config.load import load_library, load_settings, load_tool
 
 BASE, SETTINGS = load_library("porcine"), load_settings()
@@ -36,7 +36,7 @@ def learn(*arguments: object) -> str:
 def folder(tmp_path_factory):
     """Two recordings of each of two tissues, and what one learns of the first ones."""
     folder = tmp_path_factory.mktemp("learned")
-    for tissue in ("bladder", "gallbladder"):
+    for tissue in ("bladder", "liver"):
         for seed in (1, 2):
             raw = joined(simulate_raw(tissue, seed=seed, cycles=GRASPS + 1))
             write_lvm(folder / f"{tissue}{seed}.lvm", raw)
@@ -49,7 +49,7 @@ def learned(folder):
         "--label",
         f"bladder={folder}/bladder1.lvm",
         "--label",
-        f"gallbladder={folder}/gallbladder1.lvm",
+        f"liver={folder}/liver1.lvm",
         *SIMULATED,
         "--out",
         folder / "library.toml",
@@ -66,10 +66,23 @@ def replayed(path: Path, library, tool_name="simulated"):
 
 
 def test_it_names_the_tissues_of_other_recordings(folder, learned):
-    for tissue in ("bladder", "gallbladder"):
+    for tissue in ("bladder", "liver"):
         grasps = replayed(folder / f"{tissue}2.lvm", learned[0])
-        assert Counter(grasp.label for grasp in grasps)[tissue] >= GRASPS - 1
+        likeliest = Counter(max(grasp.probabilities.items(), key=lambda each: each[1])[0] for grasp in grasps)
+        assert likeliest[tissue] >= GRASPS - 1  # often undecided: it is another spot than the one that was learned
         assert {grasp.label for grasp in grasps} <= {tissue, "undecided"}
+
+
+def test_an_earlier_library_is_kept_and_what_one_spot_a_tissue_cannot_tell_is_said(folder, learned):
+    before = (folder / "library.toml").read_bytes()
+    words = ("--label", f"bladder={folder}/bladder1.lvm", *SIMULATED, "--out")
+    with pytest.raises(ConfigurationError, match="exists already, and is kept"):
+        learn(*words, folder / "library.toml")
+    assert (folder / "library.toml").read_bytes() == before
+    result = CliRunner().invoke(app, ["learn", *map(str, words), str(folder / "alone.toml")])
+    notes = " ".join(result.stderr.split())
+    assert "every grasp can only be bladder or unknown" in notes
+    assert "no tissue was recorded on two spots at one ramp" in notes
 
 
 def test_the_library_tells_what_it_was_learned_from(folder, learned):
@@ -82,7 +95,7 @@ def test_the_library_tells_what_it_was_learned_from(folder, learned):
     assert profile.contact_measured == (library.tissues["bladder"].thickness_m != BASE.tissues["bladder"].thickness_m)
     assert library.learned.calibration == load_tool("simulated").calibration_fingerprint
     assert library.tissues["bladder"].threshold_pa == BASE.tissues["bladder"].threshold_pa
-    assert document["tissues"]["gallbladder"]["learned"]["grasps"] == GRASPS
+    assert document["tissues"]["liver"]["learned"]["grasps"] == GRASPS
 
 
 def test_a_report_lies_beside_it(folder, learned):
@@ -103,16 +116,17 @@ def test_what_is_written_reads_as_the_same_library(learned):
 
 
 def test_the_order_of_labels_and_files_does_not_matter(folder):
-    files = {name: [folder / f"{name}{seed}.lvm" for seed in (1, 2)] for name in ("bladder", "gallbladder")}
+    files = {name: [folder / f"{name}{seed}.lvm" for seed in (1, 2)] for name in ("bladder", "liver")}
     texts = []
     for turn in (1, -1):
         arguments = []
         for name in list(files)[::turn]:
             arguments += ["--label", f"{name}={files[name][::turn][0]}", files[name][::turn][1]]
-        learn(*arguments, *SIMULATED, "--out", folder / "either.toml")
-        texts.append((folder / "either.toml").read_text())
+        (folder / str(turn)).mkdir()
+        learn(*arguments, *SIMULATED, "--out", folder / str(turn) / "either.toml")
+        texts.append((folder / str(turn) / "either.toml").read_text())
     assert texts[0] == texts[1]
-    report = json.loads((folder / "either-report.json").read_text())
+    report = json.loads((folder / "1" / "either-report.json").read_text())
     assert any(figure["name"].startswith("another recording") for figure in report["figures"])
 
 
@@ -166,7 +180,7 @@ def test_a_label_whose_recording_holds_no_grasp_is_told(folder, tmp_path):
 def test_a_recording_under_two_labels_is_told_even_as_a_copy(folder, tmp_path):
     copy = tmp_path / "copy.lvm"
     copy.write_bytes((folder / "bladder1.lvm").read_bytes())
-    labels = ("--label", f"bladder={folder}/bladder1.lvm", "--label", f"gallbladder={copy}")
+    labels = ("--label", f"bladder={folder}/bladder1.lvm", "--label", f"liver={copy}")
     told = refused(ConfigurationError, *labels, *SIMULATED, "--out", tmp_path / "x.toml")
     assert "same recording" in told
     assert "bladder1.lvm" in told
@@ -198,14 +212,12 @@ def test_where_it_cannot_write_it_says_so_before_it_reads(tmp_path, out, told):
     assert told in refused(ConfigurationError, "--label", "liver=nowhere.lvm", "--out", tmp_path / out)
 
 
-def test_a_failure_while_writing_leaves_the_library_that_was_there(folder, tmp_path, monkeypatch):
-    out = tmp_path / "old.toml"
-    out.write_text("before")
+def test_a_failure_while_writing_leaves_nothing_behind(folder, tmp_path, monkeypatch):
+    out = tmp_path / "new.toml"
     monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-    told = refused(ConfigurationError, "--label", f"bladder={folder}/bladder1.lvm", *SIMULATED, "--out", out)
+    told = refused(ServiceError, "--label", f"bladder={folder}/bladder1.lvm", *SIMULATED, "--out", out)
     assert "No space left" in told
-    assert out.read_text() == "before"
-    assert [path.name for path in tmp_path.iterdir()] == ["old.toml"]
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_library_is_refused_with_a_tool_of_another_calibration(folder, learned):

@@ -39,6 +39,9 @@ def test_it_is_made_once_and_again_for_a_file_that_has_changed(plan, path):
         assert "Report: liver.lvm" in page.read_text()
         assert page.parent == plan.reports_folder
         assert await ReportCache(plan).request_report(path) == page  # another service finds it
+        for damaged in (b"", page.read_bytes()[:-100]):
+            page.write_bytes(damaged)
+            assert await shelf.find_report(path) is None
         os.utime(path, ns=(1, 1))
         assert await shelf.request_report(path) == 0.0
         await shelf.aclose()

@@ -16,7 +16,7 @@ def hog(number, frame):
 
 
 def chatter(number, frame):
-    for _ in range(2000):
+    for _ in range(1200):
         logging.getLogger("graspwatch").error("x" * 1000)
 
 

@@ -1,4 +1,7 @@
-"""Readings for calibrations. The board is open only during a reading."""
+"""The class CalibrationBench, which takes the readings of calibrations, and functions on samples of such readings.
+
+The bench opens the board for a reading and closes it afterwards.
+"""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -10,7 +13,7 @@ import numpy as np
 from acquisition.acquisition_loop import AcquisitionController
 from acquisition.bench import checks
 from acquisition.bench.checks import CheckOutcome, RawSignals
-from acquisition.bench.fits import LoadingPass
+from acquisition.bench.fits import ForcePass
 from acquisition.bench.jaw_motion import (
     CLOSING_COMMAND_V,
     concatenate_signals,
@@ -21,8 +24,8 @@ from acquisition.drivers.nidaq import NidaqSource
 from acquisition.notices import RunOutcome
 from acquisition.recordings.recording import RecordingSource
 from acquisition.safety_state_machine import Safety
-from acquisition.sample_block import SampleBlock
-from acquisition.signals.calibration import compute_sensor_signals
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
+from acquisition.signals.calibration import compute_sensor_signals_from_jaws
 from acquisition.signals.grasp_tracker import COMMAND_ON_V
 from config.errors import CalibrationError
 from config.schema import ConditioningSettings, CustomWaveform, GraspProtocol, Tool
@@ -42,7 +45,10 @@ MIN_PASS_SAMPLES = 8
 
 
 class CalibrationBench:
-    """A tool without tissue. `options` leads to a simulated board, whose grasper `set_load` loads."""
+    """A tool without tissue, from which readings are taken.
+
+    `options` connects to a simulated board; `set_load` then puts the load on its grasper.
+    """
 
     def __init__(
         self,
@@ -60,7 +66,7 @@ class CalibrationBench:
         self._reading_context = reading_context
 
     def read_at_rest(self) -> RawSignals:
-        """Read the open jaws for ten seconds.
+        """Read the open jaws for ten seconds; return the raw signals.
 
         Raises:
             ToolError: the board failed.
@@ -68,7 +74,7 @@ class CalibrationBench:
         return self._read_still(TARE_S, 0.0)
 
     def read_under_pull(self, pull_n: float) -> RawSignals:
-        """Read with the motor at zero and a weight on the handle.
+        """Read with the motor at zero and a weight on the handle, N; return the raw signals.
 
         Raises:
             ToolError: the board failed.
@@ -76,7 +82,9 @@ class CalibrationBench:
         return self._read_still(WEIGHT_S, pull_n)
 
     def read_under_jaw_force(self, force_n: float) -> RawSignals:
-        """Read with the motor at zero and a load cell between the jaws; a simulated handle is pulled for the force.
+        """Read with the motor at zero and a load cell between the jaws; return the raw signals.
+
+        The handle of a simulated tool is pulled so that the force between the jaws is `force_n`, N.
 
         Raises:
             ToolError: the board failed.
@@ -90,8 +98,8 @@ class CalibrationBench:
                 [source.read_block() for _ in range(convert_seconds_to_blocks(seconds, self._tool))]
             )
 
-    def read_closed_jaws(self) -> list[LoadingPass]:
-        """Read empty, shut jaws under a force that rises and falls in turn.
+    def sweep_force_on_empty_jaws(self) -> list[ForcePass]:
+        """Shut the empty jaws, let the force fall and rise in turn, and return one pass for each direction.
 
         Raises:
             ToolError: the board failed; the motor is at zero.
@@ -99,8 +107,8 @@ class CalibrationBench:
         """
         return self._play_passes(0.0)
 
-    def read_on_gauge(self, gauge_m: float) -> LoadingPass:
-        """Read the jaws shut on a gauge, all passes in one.
+    def sweep_force_on_gauge(self, gauge_m: float) -> ForcePass:
+        """Shut the jaws on a gauge of `gauge_m`, let the force fall and rise, and return all readings as one pass.
 
         Raises:
             ToolError: the board failed; the motor is at zero.
@@ -108,7 +116,7 @@ class CalibrationBench:
         """
         return merge_passes(self._play_passes(gauge_m))
 
-    def _play_passes(self, gauge_m: float) -> list[LoadingPass]:
+    def _play_passes(self, gauge_m: float) -> list[ForcePass]:
         """Play the closing protocol, armed and monitored as any run."""
         self._set_load(0.0, gauge_m)
         tool, blocks = self._tool, []
@@ -127,23 +135,27 @@ class CalibrationBench:
         [ended] = acquisition.pop_ended_runs()
         if ended.end is not RunOutcome.FINISHED:
             raise CalibrationError(f"Broken off with the motor at zero: {ended.why}.")
-        return extract_passes(extract_signals(blocks), tool)
+        return extract_force_passes(extract_signals(blocks), tool)
 
 
 def compute_handle_pull(tool: Tool, jaw_force_n: float) -> float:
     """Return the pull on the handle, N, for a force between the open jaws."""
-    strain_v, _ = compute_sensor_signals(tool, jaw_force_n, 0.0)
+    strain_v, _ = compute_sensor_signals_from_jaws(tool, jaw_force_n, 0.0)
     return strain_v * tool.calibration.newton_per_volt
 
 
-def merge_passes(passes: Sequence[LoadingPass]) -> LoadingPass:
+def merge_passes(passes: Sequence[ForcePass]) -> ForcePass:
     """Return all readings of several passes as one."""
-    return LoadingPass(*(np.concatenate([getattr(each, name) for each in passes]) for name in LoadingPass.__slots__))
+    return ForcePass(*(np.concatenate([getattr(each, name) for each in passes]) for name in ForcePass.__slots__))
 
 
 def extract_signals(blocks: Sequence[SampleBlock]) -> RawSignals:
     """Return the raw signals of consecutive blocks."""
-    samples = np.concatenate([block.samples for block in blocks])
+    return select_raw_signals(np.concatenate([block.samples for block in blocks], dtype=SAMPLE_DTYPE))
+
+
+def select_raw_signals(samples: np.ndarray) -> RawSignals:
+    """Return the raw signals of samples of dtype SAMPLE_DTYPE."""
     return RawSignals(
         samples["strain_v"],
         samples["motor_command_v"],
@@ -165,8 +177,8 @@ def build_closing_protocol() -> GraspProtocol:
     return GraspProtocol(name="empty_jaws", title="Empty jaws, for a calibration", lead_in_s=REST_S, waveform=wave)
 
 
-def extract_passes(signals: RawSignals, tool: Tool) -> list[LoadingPass]:
-    """Return the passes of a played closing protocol: strain over rest, encoder since open jaws.
+def extract_force_passes(signals: RawSignals, tool: Tool) -> list[ForcePass]:
+    """Return the passes of a played closing protocol, one a direction: strain over rest, encoder since open jaws.
 
     Raises:
         CalibrationError: it was not played to its end, or the encoder does not follow.
@@ -194,14 +206,21 @@ def extract_passes(signals: RawSignals, tool: Tool) -> list[LoadingPass]:
     if turned.outcome is CheckOutcome.FAIL:
         raise CalibrationError(f"Broken off, {turned.check}: {turned.text}")
     passes = [slice(n * steps, (n + 1) * steps + 1) for n in range(PASS_COUNT)]
-    return [LoadingPass(strain_v[each] - rest_v, encoder_deg[each] - open_deg) for each in passes]
+    return [ForcePass(strain_v[each] - rest_v, encoder_deg[each] - open_deg) for each in passes]
 
 
-def extract_recorded_passes(recording: RecordingSource) -> list[LoadingPass]:
-    """Return each grasp's closing with shut jaws; rest is the gage's reading right before the grasp."""
-    tool = recording.tool
+def extract_recorded_force_passes(recording: RecordingSource) -> list[ForcePass]:
+    """Return one pass for each grasp of a recording: its closing once the jaws are shut.
+
+    Strain counts over the gage's reading right before the grasp.
+    """
     with recording as source:
         signals = concatenate_signals(list(iter(source.read_block, None)))
+    return extract_grasp_passes(signals, recording.tool)
+
+
+def extract_grasp_passes(signals: RawSignals, tool: Tool) -> list[ForcePass]:
+    """Return the closing with shut jaws of each grasp in these signals, as `extract_recorded_force_passes` does."""
     driven = np.concatenate([[False], signals.readback_v > COMMAND_ON_V, [False]])
     begins = np.flatnonzero(~driven[:-1] & driven[1:])
     ends = np.flatnonzero(driven[:-1] & ~driven[1:])
@@ -220,5 +239,5 @@ def extract_recorded_passes(recording: RecordingSource) -> list[LoadingPass]:
         above = np.flatnonzero(smooth_v[first:peak] > high_v)
         last = first + int(above[0]) if len(above) else peak
         if last - first >= MIN_PASS_SAMPLES:
-            found.append(LoadingPass(strain_v[first:last], encoder_deg[first:last]))
+            found.append(ForcePass(strain_v[first:last], encoder_deg[first:last]))
     return found

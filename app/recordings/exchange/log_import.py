@@ -1,4 +1,4 @@
-"""Import of a LabVIEW log as a recording, with its samples, estimates and origin."""
+"""The function behind `graspwatch import`: writes a recording from a log, with its estimates and origin."""
 
 import hashlib
 from collections.abc import Callable
@@ -29,7 +29,7 @@ class ImportedLog:
     remarks: tuple[str, ...]
 
 
-def import_labview(
+def import_log(
     source: Path,
     folder: Path,
     recording_context: RecordingContext,
@@ -37,13 +37,13 @@ def import_labview(
     progress: Callable[[float], None],
     name: str | None = None,
 ) -> ImportedLog:
-    """Write the recording of a LabVIEW log into `folder`, complete or not at all.
+    """Write the recording of another program's log into `folder`, complete or not at all.
 
     `recording_context.tool` names the log's channels and their calibration; `name` is that of the recording, by default
     that of the log.
 
     Raises:
-        RecordingError: it cannot be read (the text names file and line), is no LabVIEW log, was imported before, or
+        RecordingError: it cannot be read (the text names file and line), is an MCAP recording, was imported before, or
             there is no room.
         ConfigurationError: the name cannot be that of a recording.
     """
@@ -52,9 +52,9 @@ def import_labview(
     if path.exists():
         raise RecordingError(f"{path}: exists already, and is kept. Give the import another name with --name.")
     recording = RecordingSource(source, recording_context.tool)
-    if recording.labview_log is None:
+    if recording.log is None:
         raise RecordingError(f"{source}: is an MCAP recording already. Copy it to {folder}.")
-    started_ns, told = recording.labview_log.find_start_ns()
+    started_ns, told = recording.log.find_start_ns()
     remarks = recording.remarks
     if started_ns is None:
         started_ns = source.stat().st_mtime_ns
@@ -70,7 +70,7 @@ def import_labview(
     run = run.model_copy(update={"started_at": _format_utc(started_ns)})
     ended_at = _format_utc(started_ns + round(recording.duration_s * 1e9))
     tool, settings = recording_context.tool, recording_context.settings
-    session = TissueEstimator(tool, recording_context.library, settings)
+    session = TissueEstimator(tool, recording_context.library, settings, recording.conditions)
     grasps: list[GraspRecord] = []
     with HeadlessRecorder(
         path, recording_context, run, started_ns=started_ns, metadata=about, discard_on_error=True

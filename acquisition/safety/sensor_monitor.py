@@ -1,4 +1,4 @@
-"""Plausibility checks of the sensors: after implausible readings force or jaws are unknown, and the motor must stop."""
+"""The class SensorMonitor, which finds implausible readings: force or jaws are unknown, and the motor must stop."""
 
 import math
 from collections import deque
@@ -33,12 +33,12 @@ class SensorMonitor:
     def __init__(self, tool: Tool) -> None:
         self._limits = tool.plausible
         self._stuck_tolerance_deg = STUCK_TOLERANCE_COUNTS * tool.calibration.encoder_resolution_deg
-        self._stretch_deg_per_volt = tool.calibration.encoder_deg_per_volt
+        self._stretch_deg_per_volt = tool.stretch_deg_per_volt
         self._settled_samples = round(REST_SETTLING_S * tool.board.sample_rate_hz)
         self.reset()
 
     def reset(self) -> None:
-        """Forget earlier samples, as after a new tare or a gap."""
+        """Forget earlier samples; call this after a new tare or a gap."""
         self._strain_v: deque[float] = deque(maxlen=2 * MEDIAN_SAMPLES)
         self._scatter_v: deque[float] = deque(maxlen=SCATTER_SAMPLES)
         self._at_rest_v: deque[float] = deque(maxlen=REST_SAMPLES)

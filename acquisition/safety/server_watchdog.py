@@ -1,4 +1,4 @@
-"""Watchdog that ends a run if the server falls silent, because STOP comes through the server.
+"""The class ServerWatchdog, which finds that a run must end because the server, through which STOP comes, is silent.
 
 A heartbeat of the server's event loop shows that it is alive.
 """

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.safety.server_watch import MAX_CHECK_INTERVAL_S, ServerWatchdog
+from acquisition.safety.server_watchdog import MAX_CHECK_INTERVAL_S, ServerWatchdog
 
 MOST_S, TURN_S, SIGN_S = 1.0, 0.005, 0.05
 

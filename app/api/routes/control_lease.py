@@ -1,4 +1,4 @@
-"""Routes for control of the tool: read, acquire, take over, release."""
+"""Routes for control of the tool, a lease of one operator at a time: read, acquire, take over, release."""
 
 from http import HTTPStatus
 from typing import Annotated
@@ -38,7 +38,7 @@ def acquire_control(request: Request, tool_service: ToolService, *, take_over: b
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
 async def get_control(tool_service: ToolServiceDep) -> ControlInfo:
-    """Return who has control."""
+    """Return which operator has control of the tool."""
     lease = tool_service.control_lease
     return ControlInfo(holder=lease.holder, expires_in_s=lease.expires_in_s)
 
@@ -51,7 +51,7 @@ async def get_control(tool_service: ToolServiceDep) -> ControlInfo:
 async def take_control(
     request: Request, tool_service: ToolServiceDep, body: Annotated[ControlRequest, Body()]
 ) -> ControlInfo:
-    """Acquire or extend control. A start does so too, but only this request can take control over from another user."""
+    """Acquire or extend control of the tool. A start does so too, but only this request takes it from another user."""
     _require_user_name(request)
     acquire_control(request, tool_service, take_over=body.take_over)
     return await get_control(tool_service)
@@ -63,7 +63,7 @@ async def take_control(
     responses={409: {"description": "Somebody else has it, or nobody needs it", **PROBLEM_RESPONSE}},
 )
 async def release_control(request: Request, tool_service: ToolServiceDep) -> ControlInfo:
-    """Release control. It is refused if another user has control, and changes nothing if control is free."""
+    """Release control of the tool. The request is refused if another user has control."""
     name = _require_user_name(request)
     if not tool_service.release_control(name) and tool_service.control_lease.holder:
         holder = tool_service.control_lease.holder
