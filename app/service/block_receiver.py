@@ -51,7 +51,8 @@ class BlockReceiver:
         if is_alive and self._arming.update_from_block(block):
             self._state.publish()
         missing = self._sample_sequence.update(block.sequence, block.t_mono_ns)
-        self._watchdog.feed("acquisition")
+        if is_alive:
+            self._watchdog.feed("acquisition")
         self._sample_monitor.add_block(block, missing)
         for follow in self.listeners:
             follow(block)

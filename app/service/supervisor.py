@@ -122,10 +122,15 @@ class Supervisor:
         worker = self.workers[name]
         if worker.condition is not WorkerCondition.STARTING or not (worker.process and worker.process.is_alive()):
             return False
-        if worker.replaced_process is worker.process:
+        if self.is_being_replaced(name):
             return False
         worker.condition, worker.has_run = WorkerCondition.RUNNING, True
         return True
+
+    def is_being_replaced(self, name: str) -> bool:
+        """Return whether a worker has been asked to end by `use_tool`, and its successor has not started yet."""
+        worker = self.workers[name]
+        return worker.process is not None and worker.replaced_process is worker.process
 
     def use_tool(self, tool: Tool) -> None:
         """Replace the workers that compute with the tool's constants, so that the new ones begin with those of `tool`.

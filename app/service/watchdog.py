@@ -39,11 +39,16 @@ class Watchdog:
         return time.monotonic() - self._own_delay_s
 
     def feed(self, worker: str) -> None:
+        """Take note of a message from a worker, unless it is being replaced: it owes no more messages."""
+        if self._supervisor.is_being_replaced(worker):
+            return
         self._last_heard_s[worker] = self._listening_time_s()
         self._kept_from_running_s.pop(worker, None)
 
     def on_waiting_for_samples(self, why: str) -> None:
         """Take note that the acquisition runs, but its device gives no samples; `why` says what to do."""
+        if self._supervisor.is_being_replaced("acquisition"):
+            return
         self._waiting_heard_s, self._waiting_why = self._listening_time_s(), why
         self._kept_from_running_s.pop("acquisition", None)
 

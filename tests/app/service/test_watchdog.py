@@ -25,6 +25,10 @@ class Workers:
     )
     killed: list[str] = field(default_factory=list)
     held_up: set[str] = field(default_factory=set)
+    replaced: set[str] = field(default_factory=set)
+
+    def is_being_replaced(self, name: str) -> bool:
+        return name in self.replaced
 
     def is_kept_from_running(self, name: str) -> bool:
         return name in self.held_up
@@ -121,3 +125,21 @@ def test_a_planned_replacement_of_an_acquisition_that_has_waited_is_no_silence(w
     workers.workers["acquisition"].condition = WorkerCondition.STARTING
     watch_for(dog, 0.5)
     assert alarms.current_alarms() == []
+
+
+def test_a_worker_that_is_replaced_may_speak_until_it_ends_and_owes_nothing(workers: Workers) -> None:
+    alarms = AlarmManager(lambda message: None)
+    dog = Watchdog(workers, alarms, lambda text: None)
+    watch_for(dog, 0.1, "acquisition", "estimator")
+    for name in ("acquisition", "estimator"):
+        dog.forget(name)
+        workers.workers[name].condition = WorkerCondition.STARTING
+        workers.replaced.add(name)
+    watch_for(dog, 0.1, "acquisition", "estimator")  # they have not ended yet
+    dog.on_waiting_for_samples("the port is gone: plug it in")
+    watch_for(dog, 0.6)
+    assert (alarms.current_alarms(), workers.killed) == ([], [])
+    workers.replaced.clear()
+    watch_for(dog, 0.1, "acquisition", "estimator")
+    watch_for(dog, 0.6)
+    assert "No samples arrive from the tool" in [alarm.text for alarm in alarms.current_alarms()]
