@@ -190,6 +190,6 @@ def replay_recording(
     if recording.is_reference_grasp:
         report.advice = "This is a reference grasp on empty jaws: there is nothing to name. Use it with --reference."
         return report
-    advice = explain_missing_answers(tool, library, report.grasps), explain_missing_reference(library, conditions)
+    advice = explain_missing_answers(tool, library, report.grasps), explain_missing_reference(tool, library, conditions)
     report.advice = " ".join(filter(None, advice)) or None
     return report

@@ -53,7 +53,7 @@ def explain_missing_answers(tool: Tool, library: TissueLibrary, grasps: Sequence
     return " ".join(parts)
 
 
-def explain_missing_reference(library: TissueLibrary, conditions: SourceConditions) -> str | None:
+def explain_missing_reference(tool: Tool, library: TissueLibrary, conditions: SourceConditions) -> str | None:
     """Return why the stall counts less in grasps under these conditions and what to do, or None if it does not."""
     if not (others := find_incomparable(conditions, library)):
         return None
@@ -63,7 +63,8 @@ def explain_missing_reference(library: TissueLibrary, conditions: SourceConditio
         f"{len(others)} recordings of the library {library.name!r} are of another day "
         f"({', '.join(days) or 'not known'}; this one: {at.date() if at else 'not known'}), {lacking} no reference "
         f"grasp. So the stall counts less: it may differ by {REFERENCE_STALL_SD:.0%} from day to day. Name a recording "
-        "with empty jaws of that day with --reference; on a live tool, take a reference grasp first."
+        "with empty jaws of that day with --reference"
+        + ("; on a live tool, take a reference grasp first." if tool.hand_driven is None else ".")
     )
 
 
@@ -83,10 +84,13 @@ def _explain_unknown(tool: Tool, library: TissueLibrary, grasps: Sequence[GraspR
     peaks_n = [grasp.peak_force_n for grasp in grasps if grasp.peak_force_n is not None]
     highest_n = max(library.convert_thresholds_to_displayed_n(tool).values())
     unknown = sum(grasp.label == UNKNOWN for grasp in grasps)
-    if unknown == len(grasps):
+    undecided = len(grasps) - unknown
+    if not unknown:
+        parts = [f"No tissue of the library {library.name!r} is sure enough."]
+    elif not undecided:
         parts = [f"What was held fits no tissue of the library {library.name!r}."]
     else:
-        parts = [f"{unknown} fit no tissue of the library {library.name!r}, {len(grasps) - unknown} stay undecided."]
+        parts = [f"{unknown} fit no tissue of the library {library.name!r}, {undecided} stay undecided."]
     if peaks_n and (max(peaks_n) > MAX_THRESHOLD_RATIO * highest_n or max(peaks_n) < MIN_PEAK_N):
         parts.append(
             f"Their peak forces, {min(peaks_n):.2g} to {max(peaks_n):.2g} N, are far from those that injure the "
@@ -99,8 +103,9 @@ def _explain_unknown(tool: Tool, library: TissueLibrary, grasps: Sequence[GraspR
             f"Their newtons are those of {tool.name!r}, {tool.scale_text.removeprefix('N by ')}: check that it is the "
             "file of this tool (--tool)."
         )
+    why = "cannot tell its tissues apart" if undecided > unknown else "does not know this tissue"
     parts.append(
-        "If it is, the library does not know this tissue on this tool: learn your own with `graspwatch learn --label "
-        "TISSUE=FILE --label TISSUE=FILE --out mine.toml`, and use it with --library mine.toml."
+        f"If the tool file is right, the library {why} on this tool: learn from more recordings with `graspwatch learn "
+        "--label TISSUE=FILE --label TISSUE=FILE --out mine.toml`, and use it with --library mine.toml."
     )
     return parts

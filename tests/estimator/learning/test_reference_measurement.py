@@ -231,7 +231,10 @@ def test_a_library_keeps_its_references_and_one_of_before_stays_readable():
     )
     before = TissueLibrary.model_validate_json(text)
     assert before.tissues["liver"].learned.recordings[0].conditions == SourceConditions()
-    told = explain_missing_reference(before, SourceConditions(DAY))
+    told = explain_missing_reference(RIG, before, SourceConditions(DAY))
     assert "2 recordings of the library 'learned' are of another day (not known; this one: 2026-11-22)" in told
-    assert explain_missing_reference(library, SourceConditions(DAY)) is None
-    assert explain_missing_reference(PORCINE, SourceConditions(DAY)) is None
+    assert told.endswith("on a live tool, take a reference grasp first.")
+    by_hand = explain_missing_reference(load_tool("arthroscopic_punch"), before, SourceConditions(DAY))
+    assert by_hand.endswith("with empty jaws of that day with --reference.")
+    assert explain_missing_reference(RIG, library, SourceConditions(DAY)) is None
+    assert explain_missing_reference(RIG, PORCINE, SourceConditions(DAY)) is None
