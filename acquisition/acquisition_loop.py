@@ -98,6 +98,11 @@ class AcquisitionController:
         return self._player is not None
 
     @property
+    def at_rest(self) -> bool:
+        """Whether neither a run nor the self-test is under way, so that no sample is waited for."""
+        return not self.running and self.safety is not Safety.TESTING
+
+    @property
     def _is_monitored(self) -> bool:
         """Whether a doubtful sensor ends the run; without a motor nothing needs to be ended."""
         return self._tool.has_motor and self.safety in MONITORED_STATES

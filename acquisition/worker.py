@@ -42,7 +42,9 @@ PRIORITY_RENEWAL_INTERVAL_S = 1.0
 STALL_THRESHOLD_S = 0.5
 ERROR_AFTER_DELAY_S = 1.0
 """An error of the board this soon after a delay is taken for a consequence of the delay."""
-"""A turn takes 5 ms, or 20 ms if samples fail to come; a longer turn means that this process was held up."""
+"""A turn takes 5 or 20 ms, or 30 ms if samples fail to come; a longer turn means that this process was held up."""
+REST_BLOCK_S = 0.02
+"""Duration of a block while nothing moves. Most of the work is for the block, whatever its length."""
 MAX_COMMANDS_PER_BLOCK = 20  # bounds the delay of a stop behind other commands
 
 
@@ -96,6 +98,7 @@ def _run_acquisition(
         granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=0)
         publisher.send_multipart(bus.pack_notice(Acquiring(str(granted))))
         is_board = setup.tool.kind is not ToolKind.SERIAL
+        rest_samples = compute_rest_samples(setup.tool)
         stalls, renewed_s = StallDetector(source, acquisition, publisher, is_board=is_board), time.monotonic()
         while not stop.is_set and (block := stalls.process_block()) is not None:
             if len(block.samples):
@@ -126,8 +129,15 @@ def _run_acquisition(
                 commands.send(bus.pack_reply(answer))
             if (why := server.check(time.monotonic())) and acquisition.running and setup.tool.has_motor:
                 acquisition.fail(why)
+            source.set_block_samples(rest_samples if acquisition.at_rest else setup.tool.board.block_samples)
         acquisition.stop("the service was ended")
         _publish_events(acquisition, publisher)
+
+
+def compute_rest_samples(tool: Tool) -> int:
+    """Return the samples of a block while nothing moves: whole blocks of a run, which never are longer."""
+    board = tool.board
+    return board.block_samples * max(int(REST_BLOCK_S * board.sample_rate_hz / board.block_samples), 1)
 
 
 def await_start(start_signal: Connection, stop: ProcessEndFlag) -> bool:

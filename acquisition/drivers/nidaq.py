@@ -81,15 +81,21 @@ class NidaqSource:
         self._is_open = False
         self._start_tick = self._next_tick = self._lost_samples = 0
         self._last_read_ns = 0
-        self._block_samples = tool.board.block_samples
-        margin_s = READ_TIMEOUT_MARGIN_S if tool.has_motor else WATCHING_TIMEOUT_MARGIN_S
-        self._timeout_s = self._block_samples / tool.board.sample_rate_hz + margin_s
         self._inputs = find_analog_inputs(tool.channels)
         self._averaged = tool.board.averaged_samples
-        self._analog_v = np.empty((len(self._inputs), self._block_samples * self._averaged))
+        self._block_samples = 0
+        self.set_block_samples(tool.board.block_samples)
+
+    def set_block_samples(self, samples: int) -> None:
+        """Set the number of samples of each block from now on."""
+        if samples == self._block_samples:
+            return
+        self._block_samples, readings = samples, samples * self._averaged
+        margin_s = READ_TIMEOUT_MARGIN_S if self._tool.has_motor else WATCHING_TIMEOUT_MARGIN_S
+        self._timeout_s = samples / self._tool.board.sample_rate_hz + margin_s
         absent = {each.name for each in SENSOR_SIGNALS} - {*self._inputs, "encoder_deg"}
-        self._absent_signals = dict.fromkeys(absent, np.full(self._block_samples, np.nan))
-        self._encoder_deg = np.empty(self._block_samples * self._averaged)
+        self._absent_signals = dict.fromkeys(absent, np.full(samples, np.nan))
+        self._analog_v, self._encoder_deg = np.empty((len(self._inputs), readings)), np.empty(readings)
 
     def __enter__(self) -> Self:
         """Open the board with the motor at zero and the sample clock running.
@@ -140,7 +146,7 @@ class NidaqSource:
         return ""
 
     def read_block(self) -> RawBlock:
-        """Return the next `block_samples` samples.
+        """Return the next block.
 
         Raises:
             ToolError: a sample is late or lost, or the board failed; the motor has been commanded to zero.

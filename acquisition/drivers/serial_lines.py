@@ -62,8 +62,13 @@ class SerialSource:
         self._has_times = tool.table.time is not None
         self._rate_check = _RateCheck(tool, tool.table)
         self.silence_reason = ""
+        self._block_samples = tool.board.block_samples
         absent = {each.name for each in SENSOR_SIGNALS} - set(self._lines.signals)
         self._absent_signals = sorted(absent)
+
+    def set_block_samples(self, samples: int) -> None:
+        """Set the number of samples that a read waits for."""
+        self._block_samples = samples
 
     def __enter__(self) -> Self:
         self._open()
@@ -86,7 +91,7 @@ class SerialSource:
             ToolError: the lines do not hold what `[table]` says, or the rate contradicts the tool file.
         """
         end_s = self._now_s() + WAIT_S
-        while len(self._grid) < self._tool.board.block_samples and self._now_s() < end_s:
+        while len(self._grid) < self._block_samples and self._now_s() < end_s:
             self._receive()
         if not len(self._grid):
             return self._build_block(self._read_tick, np.zeros((0, len(self._lines.signals))), lost=0)

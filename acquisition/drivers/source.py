@@ -63,6 +63,10 @@ class SampleSource(Protocol):
 class LiveSource(SampleSource, Protocol):
     """A running tool. A block without samples says that none has come for a moment."""
 
+    def set_block_samples(self, samples: int) -> None:
+        """Set the number of samples that a read waits for from now on; at first it is the board's `block_samples`."""
+        ...
+
     @property
     def silence_reason(self) -> str:
         """Why no samples come, with what to do; empty while they come, or if a failure to come is an error."""

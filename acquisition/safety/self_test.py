@@ -27,7 +27,7 @@ class SelfTest:
 
     def __init__(self, tool: Tool) -> None:
         self._tool = tool
-        self._recent_blocks: deque[np.ndarray] = deque(maxlen=-(-WINDOW_SAMPLES // tool.board.block_samples))
+        self._recent_blocks: deque[np.ndarray] = deque()
         self._elapsed_samples = 0
 
     def start(self) -> None:
@@ -36,6 +36,8 @@ class SelfTest:
     def append(self, samples: np.ndarray) -> None:
         """Add a block of dtype SAMPLE_DTYPE."""
         self._recent_blocks.append(samples)
+        while sum(map(len, self._recent_blocks)) - len(self._recent_blocks[0]) >= WINDOW_SAMPLES:
+            self._recent_blocks.popleft()
         self._elapsed_samples += len(samples)
 
     @property

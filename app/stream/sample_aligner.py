@@ -2,10 +2,11 @@
 
 import time
 from collections import deque
+from collections.abc import Iterator
 
 import numpy as np
 
-from acquisition.sample_block import SampleBlock
+from acquisition.sample_block import SAMPLE_DTYPE, SampleBlock
 from app.host.clock import monotonic_to_wall_ms
 from app.stream.frames import FrameBuffer, build_frame_columns
 from estimator.estimate_block import EstimateBlock, blank_estimates, estimate_dtype
@@ -34,10 +35,22 @@ class SampleAligner:
     def add_estimates(self, block: EstimateBlock) -> None:
         self._pending_estimates[block.sequence] = block.estimates
         self._pending_estimates.pop(block.sequence - MAX_PENDING_ESTIMATES, None)
-        self.align()
 
     def align(self) -> None:
-        """Pass on blocks with their estimates, and blocks that have waited too long."""
+        """Pass on blocks with their estimates, and blocks that have waited too long.
+
+        Blocks without a gap between them are passed on together, which costs no more than one of them.
+        """
+        joined: list[tuple[SampleBlock, np.ndarray]] = []
+        for block, estimates in self._pop_aligned():
+            if joined and int(block.samples["tick"][0]) != int(joined[-1][0].samples["tick"][-1]) + 1:
+                self._pass_on(joined)
+                joined = []
+            joined.append((block, estimates))
+        if joined:
+            self._pass_on(joined)
+
+    def _pop_aligned(self) -> Iterator[tuple[SampleBlock, np.ndarray]]:
         while self._pending_blocks:
             came_s, block = self._pending_blocks[0]
             estimates = self._pending_estimates.pop(block.sequence, None)
@@ -47,5 +60,10 @@ class SampleAligner:
                     return
                 estimates = blank_estimates(estimate_dtype(self._tissues), block.samples["tick"])
             self._pending_blocks.popleft()
-            columns = build_frame_columns(block.samples, estimates, self._tissues)
-            self._frames.add(int(block.samples["tick"][0]), columns, monotonic_to_wall_ms(block.t_mono_ns))
+            yield block, estimates
+
+    def _pass_on(self, joined: list[tuple[SampleBlock, np.ndarray]]) -> None:
+        samples = np.concatenate([block.samples for block, _ in joined], dtype=SAMPLE_DTYPE)
+        estimates = np.concatenate([each for _, each in joined], dtype=estimate_dtype(self._tissues))
+        columns = build_frame_columns(samples, estimates, self._tissues)
+        self._frames.add(int(samples["tick"][0]), columns, monotonic_to_wall_ms(joined[-1][0].t_mono_ns))
