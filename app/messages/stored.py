@@ -38,15 +38,17 @@ def _restore_nulls(model: type[BaseModel], content: dict[str, Any]) -> dict[str,
     """Set required fields that are missing to null, also in nested records."""
     result: dict[str, Any] = {name: None for name, field in model.model_fields.items() if field.is_required()}
     for name, value in content.items():
-        inner = _find_nested_model(model, name) if isinstance(value, dict) else None
-        result[name] = _restore_nulls(inner, value) if inner else value
+        field = model.model_fields.get(name)
+        inner = _find_nested_model(field.annotation) if field else None
+        if inner and isinstance(value, list):
+            result[name] = [_restore_nulls(inner, each) if isinstance(each, dict) else each for each in value]
+        else:
+            result[name] = _restore_nulls(inner, value) if inner and isinstance(value, dict) else value
     return result
 
 
-def _find_nested_model(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the field's nested model, or None if it has none."""
-    annotation = model.model_fields[name].annotation if name in model.model_fields else None
-    for each in (annotation, *get_args(annotation)):
-        if isinstance(each, type) and issubclass(each, BaseModel):
-            return each
-    return None
+def _find_nested_model(annotation: Any) -> type[BaseModel] | None:
+    """Return the model in a field's type, such as `Model | None` or a list of models; None if it has none."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for each in get_args(annotation) if (found := _find_nested_model(each))), None)
