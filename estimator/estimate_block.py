@@ -54,6 +54,9 @@ class SpotVerdict(BaseModel):
     probability: float | None
     probabilities: dict[str, float]
     began_s: float = Field(description="Seconds since the first sample of the run or recording")
+    dose_n_s: float | None = Field(
+        default=None, description="Displayed force over time, N s, summed over all finished grasps on it"
+    )
 
 
 class IdentificationResult(BaseModel):
@@ -87,6 +90,12 @@ class IdentificationResult(BaseModel):
         description="Normalized innovation squared of each tissue's filter, mean of its last 20 samples: about 1 where "
         "it follows the grasp; null: no estimate",
     )
+    dose_n_s: float | None = Field(
+        default=None, description="Displayed force over the time in contact, N s, of the grasp under way or the last"
+    )
+    spot_dose_n_s: float | None = Field(
+        default=None, description="The same of all grasps on this spot, with the one under way"
+    )
 
 
 class GraspRecord(BaseModel):
@@ -115,6 +124,20 @@ class GraspRecord(BaseModel):
     peak_share_of_limit: float | None = Field(
         default=None,
         description="Highest ratio of the force to the limit enforced at that time; null: no limit was enforced",
+    )
+    dose_n_s: float | None = Field(
+        default=None,
+        description="Displayed force over the time in contact, N s; null: no contact, or an earlier version",
+    )
+    time_above_s: dict[str, float] = Field(
+        default_factory=dict,
+        description="Time for which the force was at or above each warning's share of the threshold in force, s",
+    )
+    log_sd: dict[str, float] = Field(
+        default_factory=dict, description="Standard deviation of log alpha, log beta and log d; empty: no estimate"
+    )
+    nis: dict[str, float | None] = Field(
+        default_factory=dict, description="Normalized innovation squared of each tissue's filter at the grasp's end"
     )
 
 

@@ -32,6 +32,10 @@ class ForceAlarmMonitor:
         self._priority: Priority | None = None
         self._tissue: str | None = None
 
+    def find_exceeded(self, force_n: float, threshold_n: float) -> list[Priority]:
+        """Return the priorities whose share of the threshold the force has reached."""
+        return [priority for priority, share in self._onset_shares.items() if force_n >= share * threshold_n]
+
     def update(self, tick: int, force_n: float, threshold_n: float, threshold_tissue: str | None) -> ForceAlarm | None:
         """Return the alarm if its priority or tissue has changed since the last call, else None.
 

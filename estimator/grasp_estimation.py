@@ -21,6 +21,7 @@ from estimator.decision import NO_ANSWER, NOT_NAMED, UNDECIDED, UNKNOWN, Decisio
 from estimator.estimate_block import GraspRecord, finite_or_none
 from estimator.evidence import BankEvidence, GraspLikelihood
 from estimator.filter_bank import BankState, FilterBank, bank_columns, build_contact_start
+from estimator.force_alarms import Priority
 from estimator.kalman_filter import PARAMETERS, X
 from estimator.loading.learned_evidence import LearnedGrasp
 from estimator.tissue_model import elastic_force_array
@@ -29,6 +30,7 @@ ENCODER_SLIPS, SATURATED = SampleFlag.ENCODER_SLIPS.value, SampleFlag.SATURATED.
 LIMITED = SampleFlag.LIMITED.value
 CHECKPOINT_SAMPLES = 500  # jaw closure may be detected this many samples late
 MIN_CHECKPOINT_SAMPLES = 10  # the first step may end this many samples after contact
+PARAMETER_NAMES = ("alpha", "beta", "d")
 MAX_MISSING_SAMPLES = 5  # a valid grasp misses at most this many samples
 
 
@@ -73,6 +75,9 @@ class GraspEstimator:
         self.decision = Decision((*self.names, UNKNOWN), settings, rate_hz)
         self.probabilities = evidence.prior
         self.peak_force_n, self.peak_displacement_m, self.peak_share_of_limit = np.nan, np.nan, np.nan
+        self.dose_n_s = 0.0  # displayed force over the time in contact
+        self.has_dose = False
+        self._samples_above: dict[Priority, int] = dict.fromkeys(Priority, 0)
         self.contact_tick, self._contact_m = -1, np.nan
         self._last_tick = -1  # of the last sample that the filters processed
         self._in_contact_before = in_contact_before
@@ -165,6 +170,16 @@ class GraspEstimator:
         self.probabilities = self.learned_grasp.process(samples)
         complete = self.learned_grasp.loading_curve.ended
         self.decision.update(self.probabilities, int(samples["tick"][-1]), complete=complete)
+
+    def add_dose(self, samples: np.ndarray) -> None:
+        """Add the force of samples in contact (dtype SAMPLE) to the dose; below zero or missing, it counts as zero."""
+        self.dose_n_s += float(np.fmax(samples["jaw_force_filtered_n"], 0.0).sum()) / self._rate_hz
+        self.has_dose = True
+
+    def add_time_above(self, exceeded: list[Priority], samples: int) -> None:
+        """Add the time of a step to each warning's share that its force has reached."""
+        for priority in exceeded:
+            self._samples_above[priority] += samples
 
     def on_jaw_closure(self, jaw_closure_tick: int, contact_tick: int) -> None:
         """Restore the state before the jaws closed at `jaw_closure_tick`, and stop learning."""
@@ -259,10 +274,12 @@ class GraspEstimator:
         convergence, error = self.compute_criteria()
         rate_hz = self._rate_hz
         label, probabilities = self.label, self.probabilities_by_name()
-        parameters = [np.nan] * 3
+        parameters, log_sd = [np.nan] * 3, {}
         best = self._bank.find_likeliest_filter() if self.contact_tick >= 0 else -1
         if best >= 0:
             parameters = np.exp(self._bank.state.mean[best, PARAMETERS])
+            deviations = np.sqrt(self._bank.state.cov[best].diagonal()[PARAMETERS])
+            log_sd = {name: float(sd) for name, sd in zip(PARAMETER_NAMES, deviations, strict=True) if np.isfinite(sd)}
         why_invalid = self.find_invalid_reason()
         return GraspRecord(
             index=self.index,
@@ -284,4 +301,8 @@ class GraspEstimator:
             why_invalid=why_invalid,
             held_back=bool(self.flags & LIMITED),
             peak_share_of_limit=finite_or_none(self.peak_share_of_limit),
+            dose_n_s=self.dose_n_s if self.has_dose else None,
+            log_sd=log_sd,
+            nis=self.nis_by_name(),
+            time_above_s={priority.value: count / rate_hz for priority, count in self._samples_above.items()},
         )

@@ -259,6 +259,9 @@ class TissueEstimator:
             grasp.peak_share_of_limit, np.fmax.reduce(samples["jaw_force_filtered_n"] / samples["limit_n"])
         )
         grasp.peak_displacement_m = np.fmax(grasp.peak_displacement_m, np.fmax.reduce(samples["tissue_displacement_m"]))
+        if last["contact_tick"] >= 0:
+            is_first = not grasp.has_dose  # contact was detected late
+            grasp.add_dose(window[np.searchsorted(window["tick"], last["contact_tick"]) :] if is_first else samples)
         if last["wall_tick"] >= 0 and not grasp.learning_ended:
             grasp.on_jaw_closure(int(last["wall_tick"]), int(last["contact_tick"]))
         grasp.learning_ended |= bool(grasp.flags & ENCODER_SLIPS)
@@ -296,6 +299,9 @@ class TissueEstimator:
         rows["threshold_n"] = threshold_n
         force_n = float(np.add.reduce(samples["jaw_force_n"])) / len(samples)
         if np.isfinite(force_n):
+            if self._in_grasp and self._grasp:
+                exceeded = self._alarm_monitor.find_exceeded(force_n, threshold_n)
+                self._grasp.add_time_above(exceeded, len(samples))
             alarm = self._alarm_monitor.update(int(samples["tick"][-1]), force_n, threshold_n, tissue)
             if alarm:
                 alarms.append(alarm)
@@ -345,6 +351,8 @@ class TissueEstimator:
             force_error_n=self._criteria[1],
             spots=self._spots.verdicts,
             nis=grasp.nis_by_name() if grasp else {},
+            dose_n_s=grasp.dose_n_s if grasp else None,
+            spot_dose_n_s=self._spots.dose_n_s + (grasp.dose_n_s if grasp and self._in_grasp else 0.0),
         )
 
     def _forecast_time_to_limit_s(self, limit_n: float) -> float | None:

@@ -98,6 +98,7 @@ class SpotTracker:
         self._evidence = LearnedSpot(source) if isinstance(source, LearnedEvidence) else BankSpot(source)
         self._grasps: list[int] = []  # those that the verdict is from
         self._finished, self._faults = 0, 0
+        self.dose_n_s = 0.0  # of the finished grasps on this spot
 
     @property
     def is_new(self) -> bool:
@@ -123,6 +124,7 @@ class SpotTracker:
         self._finished += 1
         self._last_end_tick = end_tick
         self._faults += grasp.label == NO_ANSWER
+        self.dose_n_s += grasp.dose_n_s
         found = grasp.measure_likelihood()
         if found is not None and self._append_evidence(found):
             self._grasps.append(grasp.index)
@@ -165,4 +167,5 @@ class SpotTracker:
             probability=by_name.get(label),
             probabilities=by_name,
             began_s=self._began_tick / self._rate_hz,
+            dose_n_s=self.dose_n_s,
         )

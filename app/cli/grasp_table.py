@@ -63,7 +63,7 @@ def _build_table(document: dict[str, Any]) -> Table:
 
 
 def _describe_spot(spot: dict[str, Any]) -> str:
-    """Return one line: `Spot 1: liver 97%, from 3 grasps`."""
+    """Return one line: `Spot 1: liver 97%, from 3 grasps, 4.2 N s`."""
     count = len(spot["grasps"])
     said = spot["label"].replace("_", " ")
     if spot["probability"] is not None:
@@ -71,4 +71,5 @@ def _describe_spot(spot: dict[str, Any]) -> str:
     elif count:
         top, share = max(spot["probabilities"].items(), key=lambda each: each[1])
         said += f", likeliest {top.replace('_', ' ')} {share:.0%}"
-    return f"Spot {spot['index']}: {said}, from {count} grasp{'' if count == 1 else 's'}"
+    dose = "" if spot["dose_n_s"] is None else f", {spot['dose_n_s']:.1f} N s"
+    return f"Spot {spot['index']}: {said}, from {count} grasp{'' if count == 1 else 's'}{dose}"

@@ -77,6 +77,7 @@ class HeadlessRecorder:
         self._translator = EventTranslator(
             recording_context.library,
             recording_context.tool.board.sample_rate_hz,
+            recording_context.tool.to_displayed_n(recording_context.settings.warnings.spot_dose_n_s),
             self._alarms,
             self._publish,
             self._publish_grasp,

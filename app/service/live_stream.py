@@ -8,6 +8,7 @@ from acquisition.sample_block import SampleBlock
 from app.host.clock import monotonic_to_wall_ms, now_ms
 from app.host.logs import LogContext
 from app.messages.grasps import Grasp, GraspEnded, Identification
+from app.service.annotations import Annotations
 from app.service.metrics import Metrics
 from app.service.publisher import Publisher
 from app.service.runs import RunRegistry
@@ -22,11 +23,19 @@ class LiveStream:
     """Stream of frames and of identifications and grasps, to all viewers."""
 
     def __init__(
-        self, plan: ServicePlan, publisher: Publisher, runs: RunRegistry, metrics: Metrics, log_context: LogContext
+        self,
+        plan: ServicePlan,
+        publisher: Publisher,
+        runs: RunRegistry,
+        annotations: Annotations,
+        metrics: Metrics,
+        log_context: LogContext,
     ) -> None:
         self._library, self._sample_rate_hz = plan.library, plan.tool.board.sample_rate_hz
         self.tissues = len(plan.library.tissues)
+        self._dose_limit_n_s = plan.tool.to_displayed_n(plan.settings.warnings.spot_dose_n_s)
         self._publisher, self._runs, self._metrics, self._log_context = publisher, runs, metrics, log_context
+        self._annotations = annotations
         self._frame_buffer = FrameBuffer(int(plan.settings.server.history_s * self._sample_rate_hz))
         self._aligner = SampleAligner(self._frame_buffer, self.tissues)
         self._translator = self._make_translator()
@@ -64,6 +73,7 @@ class LiveStream:
         """Begin anew after a restart of the acquisition, whose block numbers and ticks begin anew."""
         self._aligner.reset()
         self._runs.reset_ticks()
+        self._annotations.on_acquisition_restart()
         self.reset_grasp()
 
     def reset_grasp(self) -> None:
@@ -74,7 +84,9 @@ class LiveStream:
 
     def _make_translator(self) -> EventTranslator:
         alarms = self._publisher.alarms
-        return EventTranslator(self._library, self._sample_rate_hz, alarms, self._publish, self._on_grasp_ended)
+        return EventTranslator(
+            self._library, self._sample_rate_hz, self._dose_limit_n_s, alarms, self._publish, self._on_grasp_ended
+        )
 
     def _publish(self, message: BaseModel) -> None:
         if isinstance(message, Identification):
@@ -83,5 +95,7 @@ class LiveStream:
 
     def _on_grasp_ended(self, grasp: Grasp) -> None:
         self._metrics.grasps.labels(grasp.label).inc()
+        self._metrics.dose.inc(grasp.dose_n_s or 0.0)
         run_id, grasp = self._runs.add_grasp(grasp, round(grasp.start_s * self._sample_rate_hz))
         self._publisher.publish(GraspEnded(run_id=run_id, grasp=grasp))
+        self._annotations.on_grasp_end(run_id, grasp)

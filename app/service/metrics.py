@@ -50,6 +50,11 @@ class Metrics:
             "graspwatch_missing_blocks", "Blocks lost between the workers, by receiver", ["receiver"], registry=registry
         )
         self.grasps = Counter("graspwatch_grasps", "Finished grasps, by label", ["label"], registry=registry)
+        self.dose = Counter(
+            "graspwatch_dose_newton_seconds",
+            "Displayed force over the time in contact, of finished grasps",
+            registry=registry,
+        )
         self.filter_nis = Gauge(
             "graspwatch_filter_nis",
             "Normalized innovation squared of each tissue's filter, 1 where it follows the grasp; NaN: no estimate",

@@ -4,11 +4,12 @@ from collections.abc import Callable
 
 from pydantic import BaseModel
 
+from app.messages.alarms import AlarmKind
 from app.messages.grasps import Grasp, Identification
 from app.messages.live import EventMessage
 from app.stream.alarms import PRIORITY_RANK, AlarmManager
 from config.schema import TissueLibrary
-from estimator.estimate_block import EstimateBlock, GraspRecord
+from estimator.estimate_block import EstimateBlock, GraspRecord, IdentificationResult
 from estimator.force_alarms import Priority
 
 IDENTIFICATION_RATE_HZ = 10.0
@@ -21,11 +22,14 @@ class EventTranslator:
         self,
         library: TissueLibrary,
         rate_hz: float,
+        dose_limit_n_s: float,
         alarms: AlarmManager,
         publish: Callable[[BaseModel], None],
         on_grasp: Callable[[Grasp], None],
     ) -> None:
+        """`dose_limit_n_s`: displayed dose on one spot at which an alarm begins, N s."""
         self._library = library
+        self._dose_limit_n_s, self._spot_dose_n_s = dose_limit_n_s, 0.0
         self._identification_period_ticks = rate_hz / IDENTIFICATION_RATE_HZ
         self._alarms = alarms
         self._publish = publish
@@ -34,7 +38,12 @@ class EventTranslator:
         self._force_warnings: list[Priority] = []  # of the grasp under way, the highest of each rise
         self._rising = False
         self._held_back = False
-        self.identification: Identification | None = None
+        self._newest: tuple[IdentificationResult, float] | None = None  # and its time, ms
+
+    @property
+    def identification(self) -> Identification | None:
+        """The newest identification, published or not."""
+        return Identification.from_result(*self._newest) if self._newest else None
 
     def process(self, block: EstimateBlock, at_ms: float, sampled_ms: float) -> None:
         """Publish a block's ended grasps, identification, withdrawn labels and alarms at `at_ms`.
@@ -54,19 +63,27 @@ class EventTranslator:
 
     def _publish_identification(self, block: EstimateBlock, at_ms: float) -> None:
         """Publish the identification at every change, and ten times a second during a grasp."""
-        message = Identification.from_result(block.identification, at_ms)
-        before, self.identification = self.identification, message
-        if message.holding_back and not self._held_back:
-            at = "" if message.limit_n is None else f" at {message.limit_n:.2f} N"
+        result, before = block.identification, self._newest
+        self._newest = result, at_ms
+        if result.holding_back and not self._held_back:
+            at = "" if result.limit_n is None else f" at {result.limit_n:.2f} N"
             text = f"The limiter holds the motor back{at}"
             self._publish(EventMessage(server_time_ms=at_ms, text=text))
-        self._held_back |= message.holding_back
-        changed = before is None or _change_key(before) != _change_key(message)
-        due = message.in_grasp and not 0 <= message.tick - self._published_tick < self._identification_period_ticks
+        self._held_back |= result.holding_back
+        self._check_dose(result.spot_dose_n_s or 0.0, at_ms)
+        changed = before is None or _change_key(before[0]) != _change_key(result)
+        due = result.in_grasp and not 0 <= result.tick - self._published_tick < self._identification_period_ticks
         if changed or due:
-            self._published_tick = message.tick
-            self._publish(message)
-            self._alarms.update_peak_force(message.force_n)
+            self._published_tick = result.tick
+            self._publish(Identification.from_result(result, at_ms))
+            self._alarms.update_peak_force(result.force_n)
+
+    def _check_dose(self, dose_n_s: float, at_ms: float) -> None:
+        """Raise an alarm when the dose on a spot passes the limit, once for each spot."""
+        before, self._spot_dose_n_s = self._spot_dose_n_s, dose_n_s
+        if before < self._dose_limit_n_s <= dose_n_s:
+            text = f"Force over time on this spot is above {self._dose_limit_n_s:.0f} N s: grasp another spot"
+            self._alarms.raise_latched("dose", AlarmKind.FORCE, text, at_ms)
 
     def _add_force_warning(self, priority: Priority | None) -> None:
         if priority is None:
@@ -86,5 +103,5 @@ class EventTranslator:
         return profile.title if profile else label.capitalize()
 
 
-def _change_key(message: Identification) -> tuple[object, ...]:
-    return message.label, message.in_grasp, message.in_contact, message.grasp, message.holding_back, message.spots
+def _change_key(result: IdentificationResult) -> tuple[object, ...]:
+    return result.label, result.in_grasp, result.in_contact, result.grasp, result.holding_back, result.spots

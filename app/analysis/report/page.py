@@ -105,13 +105,14 @@ def _build_spots(report: Report) -> Table:
             ", ".join(map(str, spot.grasps)) or "none",
             report.tissue_styles[spot.label].title,
             format_likeliest(report, spot.probabilities) if spot.grasps else None,
+            spot.dose_n_s,
         ]
         for analyzed in report.recordings
         for spot in analyzed.spots
     ]
     return Table(
         "One answer for each spot, from all its grasps together",
-        ["recording", "spot", "began at", "grasps", "verdict", "likeliest"],
+        ["recording", "spot", "began at", "grasps", "verdict", "likeliest", "force × time, N s"],
         rows,
     )
 

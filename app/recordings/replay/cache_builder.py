@@ -19,7 +19,7 @@ from app.stream.alarms import AlarmManager
 from app.stream.event_translator import EventTranslator
 from app.stream.frames import build_channels, build_frame_columns
 from config.errors import ServiceError
-from config.schema import Settings, TissueLibrary, Tool
+from config.schema import Settings, TissueLibrary, Tool, WarningSettings
 from estimator.estimate_block import EstimateBlock, GraspRecord
 from estimator.force_alarms import Priority
 
@@ -57,7 +57,7 @@ def build_replay_cache(
     with (folder / COLUMNS_FILE).open("wb") as samples, (folder / MESSAGES_FILE).open("wb") as told:
         shape = recording.sample_count, columns
         np.lib.format.write_array_header_1_0(samples, {"descr": "<f4", "fortran_order": False, "shape": shape})
-        cache = _ReplayCacheWriter(samples, told, tool, library)
+        cache = _ReplayCacheWriter(samples, told, tool, library, settings.warnings)
         session = TissueEstimator(tool, library, settings, recording.conditions)
         for whole in read_conditioned_blocks(recording, tool, settings.conditioning, report_steps):
             for block in _split_block(whole):
@@ -90,11 +90,16 @@ def _split_block(block: SampleBlock) -> Iterator[SampleBlock]:
 class _ReplayCacheWriter:
     """Writer of a replay cache, block by block; it keeps only the index in memory."""
 
-    def __init__(self, samples: BinaryIO, told: BinaryIO, tool: Tool, library: TissueLibrary) -> None:
+    def __init__(
+        self, samples: BinaryIO, told: BinaryIO, tool: Tool, library: TissueLibrary, warnings: WarningSettings
+    ) -> None:
         self._sample_file, self._message_file = samples, told
         self._rate_hz, self._tissues = tool.board.sample_rate_hz, len(library.tissues)
         self._alarms = AlarmManager(self._publish)
-        self._translator = EventTranslator(library, self._rate_hz, self._alarms, self._publish, self._publish_grasp)
+        dose_limit_n_s = tool.to_displayed_n(warnings.spot_dose_n_s)
+        self._translator = EventTranslator(
+            library, self._rate_hz, dose_limit_n_s, self._alarms, self._publish, self._publish_grasp
+        )
         self._segments: list[tuple[int, int]] = []  # first tick and first row
         self._messages: list[tuple[int, int, int]] = []  # tick, kind, end
         self._alarm_ids: list[str] = []

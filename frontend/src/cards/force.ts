@@ -1,5 +1,5 @@
 import { create, find, setAttribute, setData, setHidden, setProperty, setText } from "../dom";
-import { newtons, shortTime, wholePercent } from "../format";
+import { fixed, newtons, shortTime, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import type { Hello } from "../wire";
 
@@ -33,6 +33,7 @@ export class ForceCard {
     setText(find(this.root, "force-now"), newtons(force));
     this.renderZone(share, limit, hello.warning_shares);
     this.renderPeak(force, limit);
+    setText(find(this.root, "force-dose"), this.doseInWords(hello));
     this.renderLimiter(share, limit);
     setProperty(this.gauge, "--share", onGauge(share));
     setAttribute(this.gauge, "aria-valuenow", Number.isFinite(share) ? String(Math.round(share * 100)) : "0");
@@ -47,6 +48,15 @@ export class ForceCard {
   private limitInWords(limit: number): string {
     if (Number.isFinite(limit)) return `Limit ${newtons(limit)}, enforced by the limiter`;
     return this.model.isReplay ? "No limit: this recording does not say any" : "No limit is enforced";
+  }
+
+  /** The force over time on this spot, with the interval that the force scale leaves. */
+  private doseInWords(hello: Hello): string {
+    const dose = this.model.identification?.spot_dose_n_s;
+    if (!dose) return "";
+    const { value, low, high } = hello.tool.force_scale;
+    const interval = low < high ? ` (${fixed((dose * low) / value, 0, "to")} ${fixed((dose * high) / value, 0, "N s")})` : "";
+    return `On this spot ${fixed(dose, 1, "N s")}${interval}`;
   }
 
   private thresholdOwner(tissue: string | null): string {
