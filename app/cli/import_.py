@@ -1,7 +1,8 @@
 """`graspwatch import`: recordings of other programs into the data folder."""
 
+import contextlib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +20,9 @@ from app.cli.options import (
 from config.errors import ConfigurationError, GraspwatchError
 from config.load import load_library, load_settings, load_tool
 from config.tissue_names import normalize_tissue_name
+
+if TYPE_CHECKING:
+    from sqlalchemy import URL
 
 
 def import_(
@@ -55,10 +59,11 @@ def import_(
     folder = prepare_data_folder(data, settings) / "recordings"
 
     # A slow import, made after the options are checked.
+    from app.index.database import index_url_from_settings
     from app.recordings.exchange.log_import import import_log
     from app.recordings.mcap_writer import RecordingContext
 
-    context, failed = RecordingContext(rig_tool, profiles, settings), {}
+    context, failed, imported_files = RecordingContext(rig_tool, profiles, settings), {}, []
     for path in files:
         noted = journal_local_command(folder.parent, "import", f"Import {path.name}")
         try:
@@ -73,8 +78,24 @@ def import_(
         for remark in imported.remarks:
             print_note(f"{path}: {remark}.")
         print(imported.path)
+        imported_files.append(imported.path)
+    _index(imported_files, index_url_from_settings(settings, folder.parent))
     if failed:
         names = ", ".join(map(str, failed))
         raise next(iter(failed.values())).__class__(
             f"{len(failed)} of {len(files)} files were not imported: {names}. The message of each says why."
         )
+
+
+def _index(paths: list[Path], url: "URL") -> None:
+    """Put new recordings into the index, so that a running service finds their grasps, too."""
+    from app.index.opening import ingest_if_missing
+    from app.index.store import Store
+    from app.recordings.index_reader import RECORDING_READERS
+
+    try:
+        with contextlib.closing(Store(url)) as store:
+            for path in paths:
+                ingest_if_missing(store, path, RECORDING_READERS)
+    except GraspwatchError as error:
+        print_note(f"The index does not have them yet: {error}")

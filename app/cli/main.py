@@ -12,8 +12,10 @@ from app.cli.bench import bench
 from app.cli.check import check
 from app.cli.console import escape_unencodable_output, print_error
 from app.cli.export import export
+from app.cli.grasps import grasps
 from app.cli.import_ import import_
 from app.cli.index import index
+from app.cli.label import label
 from app.cli.label_option import LabelCommand, LearnCommand
 from app.cli.learn import learn
 from app.cli.replay import replay
@@ -43,9 +45,10 @@ app.add_typer(people.app, name="token")
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(tool.app, name="tool")
 app.command("import")(import_)
-for command in (export, check, bench, support):
+for command in (export, label, check, bench, support):
     app.command()(command)
 app.command(cls=LabelCommand)(report)
+app.command(cls=LabelCommand)(grasps)
 app.command(cls=LearnCommand)(learn)
 for command in (serve, run, replay, index):
     app.command()(command)

@@ -65,6 +65,21 @@ def _ingest_missing_recordings(store: Store, data: Path, readers: tuple[Recordin
         return
     with explain_database_errors(store.url):
         for path, reader in missing.items():
-            with store.write_transaction() as session:
-                # The list of recordings shows its problems.
-                ingest_recording(session, path, reader, RebuildResult())
+            _ingest_one(store, path, reader)
+
+
+def ingest_if_missing(store: Store, path: Path, readers: tuple[RecordingReader, ...]) -> None:
+    """Ingest a recording of the data folder that the index lacks, such as an imported one.
+
+    Raises:
+        ServiceError: the index cannot be written.
+    """
+    reader = next((each for each in readers if path.name.endswith(each.suffix)), None)
+    with explain_database_errors(store.url):
+        if reader and store.get_file(path.name) is None:
+            _ingest_one(store, path, reader)
+
+
+def _ingest_one(store: Store, path: Path, reader: RecordingReader) -> None:
+    with store.write_transaction() as session:
+        ingest_recording(session, path, reader, RebuildResult())  # the list of recordings shows its problems

@@ -14,6 +14,7 @@ import scipy.io
 
 from acquisition.recordings.mcap_reader import McapFile
 from app.recordings.exchange.export_formats import ExportFormat
+from app.recordings.grasp_rows import flatten_grasp
 from app.recordings.run_reader import RecordedRun, build_run_columns, read_run
 from config.errors import RecordingError, build_write_error
 
@@ -73,16 +74,8 @@ def _build_sample_table(run: RecordedRun) -> pa.Table:
 
 def _build_grasp_rows(run: RecordedRun) -> list[dict[str, object]]:
     """Return the grasps with one value a cell: each tissue's value gets its own column, and so does the force scale."""
-    rows = []
-    for grasp in run.grasps:
-        row: dict[str, object] = {"force_scale": run.recording_context.tool.scale_text}
-        for name, value in grasp.model_dump(mode="json").items():
-            if isinstance(value, dict):
-                row |= {f"{name}_{tissue}": each for tissue, each in value.items()}
-            else:
-                row[name] = "; ".join(value) if isinstance(value, list) else value
-        rows.append(row)
-    return rows
+    scale: dict[str, object] = {"force_scale": run.recording_context.tool.scale_text}
+    return [scale | flatten_grasp(grasp) for grasp in run.grasps]
 
 
 def _write_csv(run: RecordedRun, samples: Path, grasps: Path) -> None:

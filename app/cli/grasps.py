@@ -1,0 +1,270 @@
+"""`graspwatch grasps`: one tidy table of the grasps of many recordings."""
+
+import contextlib
+import operator
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels_of
+from app.cli.options import (
+    DEFAULT_RECORDING_TOOL,
+    ConfigOption,
+    DataOption,
+    LibraryOption,
+    ProgressBar,
+    ToolOption,
+    explain_write_errors,
+    find_data_folder,
+    locate_data_folder,
+)
+from config.errors import ConfigurationError, RecordingError
+from config.load import load_library, load_settings, load_tool
+from config.schema import Settings, TissueLibrary, Tool
+
+if TYPE_CHECKING:
+    from app.messages.annotations import GraspTruth
+    from app.recordings.grasp_rows import Row
+
+FORMATS = (".parquet", ".csv")
+OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
+    "=": operator.eq,
+    "!=": operator.ne,
+    ">": operator.gt,
+    "<": operator.lt,
+    ">=": operator.ge,
+    "<=": operator.le,
+}
+Condition = tuple[str, str, str]
+"""A column, a sign of OPERATORS and the text of a value."""
+CONDITION = re.compile(r"\s*(\w+)\s*(!=|>=|<=|=|>|<)\s*(.*?)\s*")
+SHOWN_COLUMNS = {
+    "recording": "Recording",
+    "index": "#",
+    "truth": "Truth",
+    "label": "Answer",
+    "probability": "Prob.",
+    "peak_force_n": "Peak N",
+    "dose_n_s": "N s",
+    "why_invalid": "Remark",
+}
+MAX_SHOWN_ROWS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class EstimationContext:
+    """How grasps are estimated: as recorded if `library` is None; other files with `default_library`."""
+
+    tool: Tool
+    settings: Settings
+    library: TissueLibrary | None
+    default_library: TissueLibrary
+
+
+@dataclass(frozen=True, slots=True)
+class GraspsJob:
+    """One recording, with the truth that was corrected since, and the label given on the command line."""
+
+    path: Path
+    how: EstimationContext
+    corrected: "dict[int, GraspTruth]"
+    label: str | None
+
+
+def grasps(
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE...", help="Recordings: .mcap, LabVIEW's .lvm, or tables.")
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="All recordings of the data folder.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the table to this .parquet or .csv file.")
+    ] = None,
+    where: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CONDITION", help="Only grasps with `truth=liver`, `peak_force_n>2`; repeat it."),
+    ] = None,
+    label: Annotated[
+        list[str] | None, typer.Option(metavar=LABEL_METAVAR, help=f"{LABEL_HELP} It counts as the grasps' truth.")
+    ] = None,
+    library: LibraryOption = None,
+    tool: ToolOption = None,
+    config: ConfigOption = None,
+    data: DataOption = None,
+) -> None:
+    """Make one table of the grasps of many recordings: a row a grasp, with what was held and what was answered.
+
+    Without --library an .mcap recording keeps the answers that it was recorded with; with it, all are estimated anew.
+
+    Example: graspwatch grasps --all --where valid=true --out grasps.parquet
+    """
+    settings = load_settings(config)
+    own = locate_data_folder(data, settings)
+    conditions = [_parse_condition(text) for text in where or []]
+    if out and out.suffix not in FORMATS:
+        raise ConfigurationError(f"{out}: the name must end with .parquet or .csv.")
+    if out and out.exists():
+        raise ConfigurationError(f"{out}: exists already, and is kept. Name another file with --out.")
+    files = list(recordings or [])
+    labels = {path: name for name, paths in parse_labels_of(label or [], files) for path in paths}
+    files += [path for path in labels if path not in files]
+    if everything:
+        folder = find_data_folder(data, settings) / "recordings"
+        files += sorted(path for path in folder.glob("*.mcap") if path not in files)
+    if not files:
+        raise ConfigurationError("Name recordings, or take all of the data folder with --all.")
+    for path in files:
+        if not path.is_file():
+            raise RecordingError(f"{path}: there is no such file. Check the path.")
+    named = load_library(library, own) if library else None
+    log_tool, default = load_tool(tool or DEFAULT_RECORDING_TOOL, own), named or load_library(settings.library, own)
+    how = EstimationContext(log_tool, settings, named, default)
+
+    rows = _collect(files, how, _read_corrected_truths(files, own, settings), labels)
+    if not rows:
+        raise RecordingError(f"None of the {len(files)} recordings has a grasp: nothing is written.")
+    rows = _filter(rows, conditions)
+    if out:
+        _write(rows, out)
+        print(f"{out}: {len(rows)} grasps of {len(files)} recordings")
+    else:
+        _print(rows)
+
+
+def _parse_condition(text: str) -> Condition:
+    found = CONDITION.fullmatch(text)
+    if not found:
+        raise ConfigurationError(f"--where {text}: expected a column, =, !=, <, <=, > or >=, and a value.")
+    return found[1], found[2], found[3]
+
+
+def _read_corrected_truths(files: list[Path], data: Path, settings: Settings) -> dict[Path, "dict[int, GraspTruth]"]:
+    """Return what people said of recordings in the data folder, which may have been corrected since."""
+    from app.index.database import index_url_from_settings
+    from app.index.store import Store  # slow imports
+
+    folder = data / "recordings"
+    own = [path for path in files if path.resolve().parent == folder.resolve()]
+    if not own:
+        return {}
+    with contextlib.closing(Store(index_url_from_settings(settings, data))) as store:
+        return {path: {each.grasp: each for each in store.list_run_truths(path.stem)} for path in own}
+
+
+def _collect(
+    files: list[Path], how: EstimationContext, corrected: dict[Path, "dict[int, GraspTruth]"], labels: dict[Path, str]
+) -> list["Row"]:
+    """Return the rows of all files, in their order; several processes work on them."""
+    from estimator.studies.case_runner import run_cases
+
+    wanted = [GraspsJob(path, how, corrected.get(path, {}), labels.get(path)) for path in files]
+    with ProgressBar("grasps", float(len(files))) as progress:
+        if len(files) == 1:
+            return collect_rows(wanted[0])
+        jobs = min(len(files), len(os.sched_getaffinity(0)))
+        return [row for rows in run_cases(collect_rows, wanted, lambda done, _: progress(done), jobs) for row in rows]
+
+
+def collect_rows(job: GraspsJob) -> list["Row"]:
+    """Return the rows of one recording.
+
+    Raises:
+        RecordingError: it cannot be read.
+        ConfigurationError: the library was learned with another tool.
+    """
+    from acquisition.recordings.recording import RecordingSource, is_mcap
+    from app.analysis.headless import replay_recording
+    from app.recordings.grasp_rows import GraspContext, build_grasp_rows, newest, read_recorded_grasps
+    from app.recordings.mcap_writer import RecordingContext
+
+    path, how = job.path, job.how
+    recorded = read_recorded_grasps(path) if is_mcap(path) else None
+    if recorded and how.library is None:
+        context, found, spots, truths = recorded.context, recorded.grasps, recorded.spots, recorded.truths
+    else:
+        recording = RecordingSource(path, how.tool)
+        library = how.library or how.default_library
+        library.check_tool(recording.tool)
+        made = replay_recording(recording, RecordingContext(recording.tool, library, how.settings), lambda share: None)
+        at = recording.conditions.recorded_at
+        context = recorded.context if recorded else GraspContext(recording=path.name, recorded_at=at and at.isoformat())
+        context = replace(context, tool=recording.tool.name, library=library.name, force_scale=made.force_scale)
+        found, spots, truths = made.grasps, made.spots, dict(recorded.truths) if recorded else {}
+    for grasp, truth in job.corrected.items():
+        truths[grasp] = newest(truths.get(grasp), truth)
+    rows = build_grasp_rows(context, found, spots, truths)
+    return [row | {"truth": row["truth"] or job.label} for row in rows]
+
+
+def _filter(rows: list["Row"], conditions: list[Condition]) -> list["Row"]:
+    """Return the rows that fulfil all conditions; an empty cell fulfils none.
+
+    Raises:
+        ConfigurationError: a condition names no column, its value does not fit, or no row fulfils them.
+    """
+    kept = rows
+    for name, sign, text in conditions:
+        values = [row[name] for row in rows if row.get(name) is not None]
+        if not values:
+            there = ", ".join(dict.fromkeys(key for row in rows for key in row))
+            raise ConfigurationError(f"--where {name}{sign}{text}: no grasp has a value there. Columns: {there}.")
+        wanted = _read_value(values[0], f"--where {name}{sign}{text}", text)
+        kept = [row for row in kept if row.get(name) is not None and OPERATORS[sign](row[name], wanted)]
+    if not kept:
+        raise ConfigurationError(f"None of the {len(rows)} grasps fulfils --where: nothing is written.")
+    return kept
+
+
+def _read_value(example: object, where: str, text: str) -> object:
+    """Return the text as a value of the example's type."""
+    if isinstance(example, str):
+        return text
+    if isinstance(example, bool):
+        if text not in ("true", "false"):
+            raise ConfigurationError(f"{where}: the column holds true or false.")
+        return text == "true"
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigurationError(f"{where}: the column holds numbers.") from None
+
+
+def _write(rows: list["Row"], out: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    names = dict.fromkeys(name for row in rows for name in row)
+    table = pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows])
+    part = out.with_name(f".{out.name}.part")
+    with explain_write_errors(out):
+        try:
+            (pyarrow.csv.write_csv if out.suffix == ".csv" else pyarrow.parquet.write_table)(table, part)
+            part.rename(out)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def _print(rows: list["Row"]) -> None:
+    from rich.table import Table
+
+    from app.cli.console import create_console, print_note
+
+    shown = Table(title=f"{len(rows)} grasp{'s'[: len(rows) != 1]}")
+    for name, heading in SHOWN_COLUMNS.items():
+        shown.add_column(heading, no_wrap=name != "why_invalid")
+    for row in rows[:MAX_SHOWN_ROWS]:
+        shown.add_row(*(_format(row.get(name)) for name in SHOWN_COLUMNS))
+    create_console().print(shown)
+    if len(rows) > MAX_SHOWN_ROWS:
+        print_note(f"The first {MAX_SHOWN_ROWS} are shown. --out writes all, with every column.")
+
+
+def _format(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    return "" if value is None else str(value)

@@ -1,0 +1,120 @@
+"""Functions for the tidy table of grasps: one row a grasp, one value a cell, of recordings and of the index alike."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acquisition.recordings.mcap_layout import RECORDED_AT_METADATA
+from acquisition.recordings.mcap_reader import JsonMessage, McapFile
+from app.messages.annotations import GraspTruth
+from app.messages.grasps import GraspEnded, Identification
+from app.messages.journal import JournalEntry
+from app.messages.runs import Run
+from app.recordings.topics import GRASP_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC, RUN_TOPIC, decode_message
+from config.errors import RecordingError
+from estimator.estimate_block import GraspRecord, SpotVerdict
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class GraspContext:
+    """What the grasps of one recording have in common; None: not known."""
+
+    recording: str | None = None
+    run_id: str | None = None
+    recorded_at: str | None = None
+    protocol: str | None = None
+    tissue: str | None = None
+    tool: str | None = None
+    library: str | None = None
+    force_scale: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedGrasps:
+    """The grasps of a recording as they were estimated when it was made."""
+
+    context: GraspContext
+    grasps: tuple[GraspRecord, ...]
+    spots: tuple[SpotVerdict, ...]
+    truths: dict[int, GraspTruth]
+
+
+def read_recorded_grasps(path: Path) -> RecordedGrasps:
+    """Read the grasps of an MCAP recording, with the ground truth that was stated while it was made.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    container = McapFile(path)
+    about = container.metadata
+    grasps: dict[int, GraspRecord] = {}
+    truths: dict[int, GraspTruth] = {}
+    spots: tuple[SpotVerdict, ...] = ()
+    run: Run | None = None
+    for each in container.iter_content(GRASP_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC, RUN_TOPIC):
+        assert isinstance(each, JsonMessage)
+        try:
+            message = decode_message(each.topic, each.content)
+        except ValueError as error:
+            raise RecordingError(f"{path}: holds a message that cannot be read ({error}).") from None
+        match message:
+            case GraspEnded() if message.run_id == about.get("run_id"):
+                grasps[message.grasp.index] = message.grasp
+            case Identification() if message.spots:
+                spots = message.spots
+            case JournalEntry() if message.truth and message.truth.run_id == about.get("run_id"):
+                truths[message.truth.grasp] = newest(truths.get(message.truth.grasp), message.truth)
+            case Run() if message.id == about.get("run_id"):
+                run = message
+    context = GraspContext(
+        recording=path.name,
+        run_id=about.get("run_id"),
+        recorded_at=about.get(RECORDED_AT_METADATA) or (run.started_at if run else None),
+        protocol=about.get("protocol"),
+        tissue=about.get("tissue") or None,
+        tool=about.get("tool"),
+        library=about.get("library"),
+        force_scale=about.get("force_scale"),
+    )
+    return RecordedGrasps(context, tuple(grasps.values()), spots, truths)
+
+
+def newest(known: GraspTruth | None, other: GraspTruth) -> GraspTruth:
+    """Return the one of two statements about a grasp that counts."""
+    return other if known is None or other.version >= known.version else known
+
+
+def build_grasp_rows(
+    context: GraspContext, grasps: Iterable[GraspRecord], spots: Sequence[SpotVerdict], truths: dict[int, GraspTruth]
+) -> list[Row]:
+    """Return a row for each grasp. Names carry their units; each tissue's value has a column of its own."""
+    rows = []
+    for grasp in grasps:
+        truth = truths.get(grasp.index)
+        spot = next((spot for spot in reversed(spots) if spot.began_s <= grasp.start_s), None)
+        row: Row = {name: getattr(context, name) for name in GraspContext.__slots__}
+        row |= {
+            "truth": truth.held if truth else None,
+            "truth_remark": truth.remark.value if truth and truth.remark else None,
+            "truth_by": truth.by if truth else None,
+            "truth_version": truth.version if truth else None,
+            "spot": spot.index if spot else None,
+            "spot_label": spot.label if spot else None,
+            "spot_probability": spot.probability if spot else None,
+        }
+        rows.append(row | flatten_grasp(grasp))
+    return rows
+
+
+def flatten_grasp(grasp: GraspRecord) -> Row:
+    """Return the values of a grasp, each tissue's in a column of its own."""
+    row: Row = {}
+    for name, value in grasp.model_dump(mode="json").items():
+        if isinstance(value, dict):
+            row |= {f"{name}_{key}": each for key, each in value.items()}
+        else:
+            row[name] = "; ".join(value) if isinstance(value, list) else value
+    return row
