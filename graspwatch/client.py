@@ -13,6 +13,15 @@ import httpx
 from pydantic import BaseModel
 
 from app.messages.alarms import AcknowledgeRequest, Alarm
+from app.messages.annotations import (
+    GraspRemark,
+    GraspTruth,
+    Mark,
+    MarkRequest,
+    TruthCorrection,
+    TruthRequest,
+    TruthStatement,
+)
 from app.messages.calibration import Calibration
 from app.messages.grasps import Grasp, Identification
 from app.messages.journal import JournalEntry
@@ -136,6 +145,40 @@ class Graspwatch:
     async def begin_spot(self) -> Run:
         """Begin a new spot in the run under way: the next grasp is on another place. Refused without a run."""
         return await self._rest_client.ask(Run, "POST", "/api/spots", SpotRequest(by=self._by))
+
+    async def state_truth(self, held: str | None, *, remark: GraspRemark | None = None) -> TruthStatement:
+        """State what the jaws hold, for the grasp under way or the next one; `remark` is for that grasp alone."""
+        wanted = TruthRequest(held=held, remark=remark, by=self._by)
+        return await self._rest_client.ask(TruthStatement, "POST", "/api/truth", wanted)
+
+    async def truth(self, run: Run | str) -> list[GraspTruth]:
+        """Return the stated ground truth of a run's grasps."""
+        run_id = run if isinstance(run, str) else run.id
+        return await self._rest_client.ask(list[GraspTruth], "GET", f"/api/runs/{run_id}/truth")
+
+    async def correct_truth(
+        self,
+        run: Run | str,
+        grasp: int,
+        held: str | None,
+        *,
+        remark: GraspRemark | None = None,
+        version: int = 0,
+        why: str | None = None,
+    ) -> GraspTruth:
+        """State or correct the ground truth of a finished grasp; `version` is that of the statement before, 0: none."""
+        run_id = run if isinstance(run, str) else run.id
+        wanted = TruthCorrection(held=held, remark=remark, version=version, why=why, by=self._by)
+        return await self._rest_client.ask(GraspTruth, "PUT", f"/api/runs/{run_id}/grasps/{grasp}/truth", wanted)
+
+    async def mark(self, text: str) -> Mark:
+        """Set a mark on the running recording, at its newest sample. Refused without a run."""
+        return await self._rest_client.ask(Mark, "POST", "/api/marks", MarkRequest(text=text, by=self._by))
+
+    async def marks(self, run: Run | str) -> list[Mark]:
+        """Return the marks of a run by their time."""
+        run_id = run if isinstance(run, str) else run.id
+        return await self._rest_client.ask(list[Mark], "GET", f"/api/runs/{run_id}/marks")
 
     @contextlib.asynccontextmanager
     async def running(

@@ -9,10 +9,8 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
-from app.messages.alarms import Alarm
 from app.messages.base import SCHEMA_VERSION
-from app.messages.grasps import GraspEnded
-from app.messages.live import EventMessage, FrameReceived, Hello, ServerMessage, State
+from app.messages.live import FrameReceived, Hello, ServerMessage, State, StreamEvent
 from config.network import is_this_computer
 from graspwatch.errors import ConnectionLostError
 from graspwatch.frames import Frame
@@ -62,7 +60,7 @@ def _event_number(message: BaseModel) -> int | None:
     """Return the number of the newest event that has been received with this message, if it says so."""
     if isinstance(message, State):
         return message.event_number
-    return message.number if isinstance(message, EventMessage | Alarm | GraspEnded) else None
+    return message.number if isinstance(message, StreamEvent) else None
 
 
 @contextlib.asynccontextmanager

@@ -25,6 +25,7 @@ from app.api.openapi import TAGS, describe_api, make_operation_id
 from app.api.recording_bin import RecordingBin
 from app.api.routes import (
     alarms,
+    annotations,
     audit,
     bin,
     calibration,
@@ -92,6 +93,7 @@ SECURITY_HEADERS = {
 }
 ROUTE_MODULES = (
     runs,
+    annotations,
     control_lease,
     calibration,
     session,

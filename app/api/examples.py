@@ -4,6 +4,16 @@ from pydantic import BaseModel
 
 from acquisition.safety_state_machine import Safety
 from app.messages.alarms import AcknowledgeRequest, Alarm, AlarmKind
+from app.messages.annotations import (
+    GraspRemark,
+    GraspTruth,
+    Mark,
+    MarkChange,
+    MarkRequest,
+    TruthCorrection,
+    TruthRequest,
+    TruthStatement,
+)
 from app.messages.calibration import Calibration, CalibrationKind, CalibrationReading, CalibrationRequest
 from app.messages.grasps import Grasp, GraspEnded
 from app.messages.journal import JournalCheck, JournalEntry, JournalKind
@@ -169,6 +179,10 @@ EXAMPLES: dict[str, BaseModel] = {
         StopRequest(by="Ada"),
         SpotRequest(by="Ada"),
         DeclineRequest(by="Ada"),
+        TruthRequest(held="liver", by="Ada"),
+        TruthCorrection(held="gallbladder", remark=GraspRemark.SLIPPED, version=1, why="seen on the video", by="Ada"),
+        MarkRequest(text="irrigation on", by="Ada"),
+        MarkChange(text="irrigation off", version=1, by="Ada"),
         AcknowledgeRequest(by="Ada", priority=Priority.MEDIUM),
         FileText(text=_PROTOCOL_TEXT),
         FileRequest(text=_PROTOCOL_TEXT, by="Ada"),
@@ -202,6 +216,28 @@ EXAMPLES: dict[str, BaseModel] = {
         _FILE,
         _STUDY,
         GraspEnded(run_id=_RUN.id, grasp=_GRASP),
+        TruthStatement(held="liver", remark=None, by="Ada"),
+        GraspTruth(
+            run_id=_RUN.id,
+            grasp=1,
+            held="liver",
+            remark=None,
+            version=1,
+            by="Ada",
+            at="2026-11-30T11:02:05.100000+00:00",
+            why=None,
+        ),
+        Mark(
+            id=f"{_RUN.id}-mark1",
+            run_id=_RUN.id,
+            at_s=12.345,
+            at_ms=_BEGAN_MS,
+            uncertainty_s=0.04,
+            text="irrigation on",
+            version=1,
+            by="Ada",
+            changed_at="2026-11-30T11:02:05.140000+00:00",
+        ),
         StopAnswer(stopped=True, run=_RUN.model_copy(update={"state": RunState.STOPPED})),
         SafetyReport(safety=Safety.ARMED),
         NO_REFERENCE.model_copy(update={"declined": True}),

@@ -11,17 +11,18 @@ from typing import Any, TypeVar
 
 from sqlalchemy.orm import Session
 
-from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, IndexTable, RunRow
+from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, IndexTable, MarkRow, RunRow, TruthRow
 from app.messages.alarms import Alarm
+from app.messages.annotations import GraspTruth, Mark
 from app.messages.base import Record
 from app.messages.grasps import GraspEnded
-from app.messages.journal import JournalEntry
+from app.messages.journal import RECORD_FIELDS, JournalEntry
 from app.messages.recordings import FileRecord
 from app.messages.runs import Run, RunState
 from app.messages.stored import read_stored
 
 Row = TypeVar("Row", bound=IndexTable)
-IndexedMessage = Run | GraspEnded | Alarm | JournalEntry | FileRecord
+IndexedMessage = Run | GraspEnded | GraspTruth | Mark | Alarm | JournalEntry | FileRecord
 
 
 def ingest(session: Session, message: IndexedMessage, run_id: str | None = None) -> None:
@@ -35,6 +36,10 @@ def ingest(session: Session, message: IndexedMessage, run_id: str | None = None)
             _ingest_run(session, message)
         case GraspEnded():
             _ingest_grasp(session, message, message.run_id or run_id)
+        case GraspTruth():
+            _ingest_truth(session, message)
+        case Mark():
+            _ingest_mark(session, message)
         case Alarm():
             _ingest_alarm(session, message)
         case JournalEntry():
@@ -62,7 +67,7 @@ def line_key(entry: JournalEntry) -> str:
     A field that a later version adds to a record changes no key of an older line, which has the default.
     """
     exclude = {}
-    for name in ("run", "alarm", "file"):
+    for name in RECORD_FIELDS:
         if about := getattr(entry, name):
             exclude[name] = _find_added_defaults(about)
     return hashlib.sha256(entry.without_chain().to_line(exclude).encode()).hexdigest()
@@ -143,6 +148,32 @@ def _grasp_recency(ended: GraspEnded) -> tuple[float, str]:
     return ended.grasp.end_s, _to_json_text(ended)
 
 
+def _ingest_truth(session: Session, truth: GraspTruth) -> None:
+    row = _get_row(session, TruthRow, truth.run_id, truth.grasp)
+    if row is None:
+        row = TruthRow(run_id=truth.run_id, grasp=truth.grasp)
+        session.add(row)
+    elif _change_recency(read_stored(GraspTruth, row.message)) >= _change_recency(truth):
+        return
+    row.held, row.remark, row.version = truth.held, truth.remark and truth.remark.value, truth.version
+    row.message = _to_json_dict(truth)
+
+
+def _ingest_mark(session: Session, mark: Mark) -> None:
+    row = _get_row(session, MarkRow, mark.id)
+    if row is None:
+        row = MarkRow(id=mark.id)
+        session.add(row)
+    elif _change_recency(read_stored(Mark, row.message)) >= _change_recency(mark):
+        return
+    row.run_id, row.at_s, row.text = mark.run_id, mark.at_s, _replace_nul(mark.text) or ""
+    row.deleted, row.version, row.message = mark.deleted, mark.version, _to_json_dict(mark)
+
+
+def _change_recency(changed: GraspTruth | Mark) -> tuple[int, str]:
+    return changed.version, _to_json_text(changed)
+
+
 def _ingest_alarm(session: Session, alarm: Alarm) -> None:
     key = f"{alarm.began_ms:.3f}/{alarm.id}"
     row = _get_row(session, AlarmRow, key)
@@ -178,8 +209,8 @@ def _ingest_journal_entry(session: Session, entry: JournalEntry) -> None:
             message=_to_json_dict(entry),
         )
     )
-    for about in (entry.run, entry.alarm, entry.file):
-        if about is not None:
+    for name in RECORD_FIELDS:
+        if about := getattr(entry, name):
             ingest(session, about)
 
 

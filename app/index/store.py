@@ -15,8 +15,9 @@ from app.index.database_errors import is_write_conflict
 from app.index.index_lock import IndexLock
 from app.index.ingest import IndexedMessage, ingest, line_key
 from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery, RunQuery
-from app.index.tables import AuditRow, FileRow, GraspRow, IndexTable, RunRow
+from app.index.tables import AuditRow, FileRow, GraspRow, IndexTable, MarkRow, RunRow, TruthRow
 from app.messages.alarms import Alarm
+from app.messages.annotations import GraspTruth, Mark
 from app.messages.grasps import Grasp, GraspEnded
 from app.messages.journal import JournalEntry
 from app.messages.recordings import FileRecord
@@ -25,7 +26,7 @@ from app.messages.stored import read_stored
 
 MAX_TRIES = 5  # while another writer is faster
 M = TypeVar("M")
-RowT = TypeVar("RowT", RunRow, FileRow)
+RowT = TypeVar("RowT", RunRow, FileRow, MarkRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +128,22 @@ class Store:
         with explain_database_errors(self.url), Session(self._engine) as session:
             rows = session.scalars(select(GraspRow).where(GraspRow.run_id == run_id).order_by(GraspRow.index))
             return [read_stored(GraspEnded, row.message).grasp for row in rows]
+
+    def list_run_truths(self, run_id: str) -> list[GraspTruth]:
+        """Return the stated ground truth of a run's grasps, in order."""
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            rows = session.scalars(select(TruthRow).where(TruthRow.run_id == run_id).order_by(TruthRow.grasp))
+            return [read_stored(GraspTruth, row.message) for row in rows]
+
+    def list_run_marks(self, run_id: str) -> list[Mark]:
+        """Return the marks of a run by their time, without deleted ones."""
+        query = select(MarkRow).where(MarkRow.run_id == run_id, MarkRow.deleted.is_(False))
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            return [read_stored(Mark, row.message) for row in session.scalars(query.order_by(MarkRow.at_s, MarkRow.id))]
+
+    def get_mark(self, mark_id: str) -> Mark | None:
+        row = self._get_row(MarkRow, mark_id)
+        return read_stored(Mark, row.message) if row else None
 
     def find_alarms(self, query: AlarmQuery) -> Page[Alarm]:
         rows, total = self._fetch_page(queries.select_alarms(query), query)

@@ -44,6 +44,33 @@ class GraspRow(IndexTable):
     message: Mapped[dict[str, Any]]
 
 
+class TruthRow(IndexTable):
+    """The newest ground truth of a grasp. The index may not know its run."""
+
+    __tablename__ = "truths"
+
+    run_id: Mapped[str] = mapped_column(primary_key=True)
+    grasp: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    held: Mapped[str | None] = mapped_column(index=True)
+    remark: Mapped[str | None]
+    version: Mapped[int]
+    message: Mapped[dict[str, Any]]
+
+
+class MarkRow(IndexTable):
+    """A mark in its newest version. The index may not know its run."""
+
+    __tablename__ = "marks"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    run_id: Mapped[str] = mapped_column(index=True)
+    at_s: Mapped[float]
+    text: Mapped[str]
+    deleted: Mapped[bool]
+    version: Mapped[int]
+    message: Mapped[dict[str, Any]]
+
+
 class AlarmRow(IndexTable):
     """`key`: the alarm's id and start, because ids begin anew with each service."""
 

@@ -7,6 +7,7 @@ from typing import Self
 from pydantic import Field
 
 from app.messages.alarms import Alarm
+from app.messages.annotations import GraspTruth, Mark
 from app.messages.base import Message, Record
 from app.messages.recordings import FileRecord
 from app.messages.runs import Run
@@ -30,6 +31,10 @@ class JournalKind(StrEnum):
     """A request for a change: requester, action, client and result."""
     ACCESS = "access"
     """A sign-in or sign-out, a change of control, or a token that was made, revoked or wrong."""
+    TRUTH = "truth"
+    """What a person says that was held in a grasp, or a correction of it."""
+    MARK = "mark"
+    """A mark on a recording, its change or its deletion."""
     CHAIN = "chain"
     """The journal's note about itself: where its chain begins, or that a line was cut off."""
 
@@ -44,7 +49,7 @@ class Result(StrEnum):
 
 
 class JournalEntry(Record):
-    """A line of the journal: what happened, who did it, and the full run, alarm or recording that it is about."""
+    """A line of the journal: what happened, who did it, and the full record that it is about, if there is one."""
 
     at: str = Field(description="ISO 8601, UTC")
     kind: JournalKind
@@ -57,6 +62,8 @@ class JournalEntry(Record):
     run: Run | None = Field(default=None, description="The run at that time")
     alarm: Alarm | None = Field(default=None, description="The alarm at that time")
     file: FileRecord | None = Field(default=None, description="The recording that was deleted or restored")
+    truth: GraspTruth | None = Field(default=None, description="The ground truth that was stated or corrected")
+    mark: Mark | None = Field(default=None, description="The mark that was set, changed or deleted")
     action: str | None = Field(default=None, description="Requested action: the name of the route or of the command")
     client: str | None = Field(default=None, description="Address that the request came from")
     result: Result | None = None
@@ -69,9 +76,9 @@ class JournalEntry(Record):
     hash: str | None = Field(default=None, description="SHA-256 of the line up to here, hexadecimal")
 
     def to_line(self, exclude: Mapping[str, set[str]] | None = None) -> str:
-        """Return the entry as a journal line. Null fields are omitted, except within run, alarm and file.
+        """Return the entry as a journal line. Null fields are omitted, except within the record.
 
-        `exclude` names fields of run, alarm or file to leave out.
+        `exclude` names fields of the record to leave out, by the name of its field.
         """
         empty = {name: True for name in type(self).model_fields if getattr(self, name) is None}
         return self.model_dump_json(exclude={**(exclude or {}), **empty})
@@ -81,6 +88,8 @@ class JournalEntry(Record):
         return self.model_copy(update=dict.fromkeys(CHAIN_FIELDS))
 
 
+RECORD_FIELDS = ("run", "alarm", "file", "truth", "mark")
+"""Fields of an entry that hold the record that it is about."""
 CHAIN_FIELDS = ("chain", "number", "after", "begins", "torn", "hash")
 
 

@@ -17,6 +17,15 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaMode
 
 from acquisition.signal_table import SIGNALS
 from app.messages.alarms import AcknowledgeRequest, Alarm
+from app.messages.annotations import (
+    GraspTruth,
+    Mark,
+    MarkChange,
+    MarkRequest,
+    TruthCorrection,
+    TruthRequest,
+    TruthStatement,
+)
 from app.messages.base import SCHEMA_VERSION, Message, Record, Request
 from app.messages.calibration import Calibration, CalibrationRequest
 from app.messages.compatibility import find_unexpected_changes, find_unreadable_changes
@@ -58,6 +67,7 @@ SENT_BY_SERVER: tuple[type[Message], ...] = (
     FileCheck,
     FileContent,
     ToolDraftReport,
+    TruthStatement,
 )
 """Answers to requests, beside the `ServerMessage`s of the live stream."""
 SENT_BY_CLIENT: tuple[type[Request], ...] = (
@@ -75,8 +85,22 @@ SENT_BY_CLIENT: tuple[type[Request], ...] = (
     CalibrationRequest,
     FileText,
     FileRequest,
+    TruthRequest,
+    TruthCorrection,
+    MarkRequest,
+    MarkChange,
 )
-STORED: tuple[type[Record], ...] = (Run, GraspEnded, Alarm, Identification, JournalEntry, FileRecord, StudyRun)
+STORED: tuple[type[Record], ...] = (
+    Run,
+    GraspEnded,
+    GraspTruth,
+    Mark,
+    Alarm,
+    Identification,
+    JournalEntry,
+    FileRecord,
+    StudyRun,
+)
 
 # Fields of `FRAME_HEADER`, in order
 HEADER_FIELDS = ("magic", "kind", "stride", "columns", "rows", "sequence", "first_tick", "newest_ms")

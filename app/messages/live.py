@@ -5,7 +5,7 @@ oldest frames, but never a message. A viewer answers each frame with `FrameRecei
 `/api/recordings/{name}/replay` sends the same for a recording, and a `ReplayState` at every change and ten times a
 second. It obeys `ReplayControl`; after a jump it begins again with a `Hello`.
 
-Events (`EventMessage`, `Alarm`, `GraspEnded`) are numbered in the order in which they are sent.
+Events (`EventMessage`, `Alarm`, `GraspEnded`, `GraspTruth`, `Mark`) are numbered in the order in which they are sent.
 `/api/live?after=NUMBER` goes on after an event: `Hello`, `State`, every event after it, then the alarms that are on.
 The service keeps the last 1,000 events; if it does not have all of them, `Hello.resumed` is false and the stream
 begins anew.
@@ -24,6 +24,7 @@ from pydantic import Field
 
 from acquisition.safety_state_machine import Safety
 from app.messages.alarms import Alarm
+from app.messages.annotations import NO_STATEMENT, GraspTruth, Mark, TruthStatement
 from app.messages.base import SCHEMA_VERSION, EventNumber, Message, Request
 from app.messages.grasps import GraspEnded, Identification
 from app.messages.runs import Run
@@ -136,6 +137,9 @@ class State(Message):
     viewers: int
     recording: RecordingState
     reference: ReferenceState = Field(default=NO_REFERENCE, description="The day's reference grasp")
+    stated: TruthStatement = Field(
+        default=NO_STATEMENT, description="What a person says that the jaws hold, for the grasp under way or the next"
+    )
     free_disk_bytes: int | None = Field(description="Null: the data folder is missing")
     faults: list[str]
     event_number: int | None = Field(
@@ -181,6 +185,10 @@ class ReplayState(Message):
     grasps: list[float] = Field(description="Start times of the grasps, s")
 
 
+StreamEvent = EventMessage | Alarm | GraspEnded | GraspTruth | Mark
+"""A message with a number, after which the stream can go on."""
+
 ServerMessage = Annotated[
-    Hello | State | Identification | GraspEnded | Alarm | EventMessage | ReplayState, Field(discriminator="type")
+    Hello | State | Identification | GraspEnded | GraspTruth | Mark | Alarm | EventMessage | ReplayState,
+    Field(discriminator="type"),
 ]

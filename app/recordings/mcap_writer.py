@@ -23,7 +23,7 @@ from acquisition.recordings.protobuf_rows import RowLayout
 from acquisition.recordings.recording import read_recorded_tool
 from acquisition.sample_block import SampleBlock
 from app import __version__
-from app.recordings.topics import TOPIC_MODELS, build_json_schema
+from app.recordings.topics import SCHEMA_NAMES, TOPIC_MODELS, build_json_schema
 from config.errors import RecordingError
 from config.schema import Settings, TissueLibrary, Tool
 from estimator.estimate_rows import estimate_columns, row_layouts
@@ -141,7 +141,7 @@ class McapRunWriter:
         self._pending = {topic: _PendingRows(rows, self._register_channel(topic, rows)) for topic, rows in kinds}
         self._message_channels = {
             topic: self._writer.register_channel(
-                topic, "json", self._writer.register_schema(model.__name__, "jsonschema", build_json_schema(model))
+                topic, "json", self._writer.register_schema(SCHEMA_NAMES[topic], "jsonschema", build_json_schema(model))
             )
             for topic, model in TOPIC_MODELS.items()
         }

@@ -7,35 +7,74 @@ a message instead of being null.
 import json
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 
 from app.messages.alarms import Alarm
+from app.messages.annotations import Mark
 from app.messages.base import Record
 from app.messages.grasps import GraspEnded, Identification
 from app.messages.journal import JournalEntry
 from app.messages.runs import Run
 from app.messages.stored import read_stored
 
-RUN_TOPIC, GRASP_TOPIC, ALARM_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC = (
+RUN_TOPIC, GRASP_TOPIC, ALARM_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC, MARK_TOPIC = (
     "/run",
     "/grasp",
     "/alarm",
     "/identification",
     "/journal",
+    "/mark",
 )
+
+
+class FoxgloveTime(Record):
+    """A time since 1970 (foxglove.Time)."""
+
+    sec: int
+    nsec: int
+
+
+class FoxgloveKeyValue(Record):
+    """A fact about an event (foxglove.KeyValuePair)."""
+
+    key: str
+    value: str
+
+
+class FoxgloveEvent(Record):
+    """A mark as plotting programs understand it (foxglove.Event). The mark itself is in its journal line."""
+
+    model_config = ConfigDict(title="foxglove.Event")
+
+    start_time: FoxgloveTime
+    end_time: FoxgloveTime
+    metadata: list[FoxgloveKeyValue]
+
+
 TOPIC_MODELS: dict[str, type[Record]] = {
     RUN_TOPIC: Run,
     GRASP_TOPIC: GraspEnded,
     ALARM_TOPIC: Alarm,
     IDENTIFICATION_TOPIC: Identification,
     JOURNAL_TOPIC: JournalEntry,
+    MARK_TOPIC: FoxgloveEvent,
 }
+SCHEMA_NAMES = {topic: model.model_config.get("title") or model.__name__ for topic, model in TOPIC_MODELS.items()}
 _MODEL_TOPICS: dict[type[BaseModel], str] = {model: topic for topic, model in TOPIC_MODELS.items()}
 
 
 def find_topic(message: BaseModel) -> str | None:
     """Return the topic that a message is recorded under; None if it is not recorded."""
     return _MODEL_TOPICS.get(type(message))
+
+
+def build_foxglove_event(mark: Mark) -> FoxgloveEvent:
+    """Return a mark as an event at the time of its sample."""
+    sec, rest_ms = divmod(mark.at_ms, 1e3)
+    at = FoxgloveTime(sec=int(sec), nsec=int(rest_ms * 1e6))
+    facts = {"text": mark.text, "by": mark.by, "run": mark.run_id, "id": mark.id}
+    metadata = [FoxgloveKeyValue(key=key, value=value) for key, value in facts.items() if value]
+    return FoxgloveEvent(start_time=at, end_time=at, metadata=metadata)
 
 
 def encode_message(message: BaseModel) -> bytes:

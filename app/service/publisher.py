@@ -11,10 +11,10 @@ from app.index.index_writer import IndexWriter
 from app.index.ingest import IndexedMessage
 from app.index.rebuild import BEHIND_MARKER_FILE
 from app.index.store import Store
-from app.messages.journal import JournalKind
+from app.messages.journal import JournalEntry, JournalKind
 from app.messages.live import EventMessage
 from app.messages.runs import Run
-from app.recordings.topics import encode_message, find_topic
+from app.recordings.topics import MARK_TOPIC, build_foxglove_event, encode_message, find_topic
 from app.stream.alarms import AlarmManager
 from app.stream.viewers import ViewerHub
 from config.service_plan import ServicePlan
@@ -45,6 +45,8 @@ class Publisher:
         topic = find_topic(message)
         if topic:
             self._send(bus.pack_server_message(topic, encode_message(message)))
+        if isinstance(message, JournalEntry) and message.mark and message.mark.version == 1:
+            self._send(bus.pack_server_message(MARK_TOPIC, encode_message(build_foxglove_event(message.mark))))
         if isinstance(message, IndexedMessage):
             self.index_writer.enqueue(message)
 

@@ -11,6 +11,7 @@ from acquisition.safety_state_machine import Safety
 from app.host.logs import LogContext
 from app.messages.journal import JournalKind
 from app.messages.runs import Run, RunState
+from app.service.annotations import Annotations
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
 from app.service.publisher import Publisher
@@ -38,12 +39,13 @@ class RunController:
         runs: RunRegistry,
         sample_monitor: SampleMonitor,
         references: ReferenceGrasps,
+        annotations: Annotations,
         state: StateReporter,
         log_context: LogContext,
     ) -> None:
         self._plan, self._publisher, self._commander, self._supervisor = plan, publisher, commander, supervisor
         self._arming, self._runs, self._sample_monitor, self._state = arming, runs, sample_monitor, state
-        self._references, self._log_context = references, log_context
+        self._references, self._annotations, self._log_context = references, annotations, log_context
         self._shutting_down = False
         self._stop_count = 0
 
@@ -152,6 +154,7 @@ class RunController:
         run = self._runs.current
         if run is None:
             raise RefusedError("The run has just ended. Each run begins a new spot.")
+        self._annotations.on_new_spot()
         self._publisher.publish_event("A new spot begins", JournalKind.RUN, by, run)
         return run
 
@@ -167,6 +170,7 @@ class RunController:
         if not self._runs.end(run_id, state, why):
             return
         ended = self._runs.get(run_id)
+        self._annotations.on_run_end()
         if ended:
             self._publisher.record(ended)
             self._references.on_run_end(ended)

@@ -59,6 +59,10 @@ class RunRegistry:
         entry = self._entries.get(run_id)
         return entry.run if entry else None
 
+    def get_start_tick(self, run_id: str) -> int:
+        """Return the sample at or after which a run's samples begin."""
+        return self._entries[run_id].start_tick
+
     def list_grasps(self, run_id: str) -> list[Grasp]:
         return self._entries[run_id].grasps
 

@@ -4,6 +4,7 @@ import time
 from collections import deque
 
 from acquisition.sample_block import SampleBlock
+from app.host.clock import monotonic_to_wall_ms
 from app.service.metrics import Metrics
 from app.stream.alarms import AlarmManager
 from config.schema import Tool
@@ -27,6 +28,7 @@ class SampleMonitor:
         self._last_loss_s = self._last_late_s = 0.0
         self.lost_samples = 0
         self.last_tick = -1
+        self._last_read_ns = 0  # when the last block was read, by the monotonic clock
         self.limit_n: float | None = None
         self.estimate_latency_ms: float | None = None
 
@@ -40,13 +42,17 @@ class SampleMonitor:
 
     def add_block(self, block: SampleBlock, missing_blocks: int) -> None:
         """Add a block, before which `missing_blocks` did not arrive."""
-        self.last_tick = int(block.samples["tick"][-1])
+        self.last_tick, self._last_read_ns = int(block.samples["tick"][-1]), block.t_mono_ns
         self.limit_n = finite_or_none(float(block.samples["limit_n"][-1]))
         self._recent_counts.append((time.monotonic(), len(block.samples)))
         self._observe_lateness(block)
         self._check_lateness(block)
         self._metrics.samples.inc(len(block.samples))
         self._count_lost_samples(block.lost_samples + missing_blocks * len(block.samples))
+
+    def compute_time_ms(self, tick: int) -> float:
+        """Return the time of a recent sample, ms since 1970 by the service's clock."""
+        return monotonic_to_wall_ms(self._last_read_ns) - (self.last_tick - tick) / self._sample_rate_hz * 1e3
 
     def add_estimate_latency(self, latency_s: float) -> None:
         """Add the time from the last sample of a block to its published estimates."""

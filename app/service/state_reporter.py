@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from app.host.clock import now_ms
 from app.messages.live import Phase, State
+from app.service.annotations import Annotations
 from app.service.arming import ArmingController
 from app.service.condition_checks import ConditionChecks
 from app.service.control_lease import ControlLease
@@ -37,6 +38,7 @@ class StateReporter:
     recorder_link: RecorderLink
     checks: ConditionChecks
     references: ReferenceGrasps
+    annotations: Annotations
     metrics: Metrics
     is_replay: bool
 
@@ -63,6 +65,7 @@ class StateReporter:
             viewers=len(self.publisher.viewer_hub.viewers),
             recording=self.recorder_link.state,
             reference=self.references.build_state(),
+            stated=self.annotations.statement,
             free_disk_bytes=self.checks.free_disk_bytes,
             faults=self.publisher.alarms.technical_alarm_texts(),
             event_number=self.publisher.viewer_hub.newest_event_number,

@@ -16,6 +16,7 @@ from app.messages.alarms import AlarmKind
 from app.messages.grasps import GraspEnded
 from app.messages.journal import JournalKind
 from app.messages.live import Phase
+from app.service.annotations import Annotations
 from app.service.arming import ArmingController
 from app.service.block_receiver import BlockReceiver
 from app.service.bus_listener import BusListener
@@ -70,7 +71,9 @@ class ToolService:
         self.recorder_link = recorder = RecorderLink(plan, publisher)
         self.references = references = ReferenceGrasps(plan, publisher)
         self._sample_monitor = samples = SampleMonitor(plan.tool, self.alarms, metrics)
-        self._live_stream = live = LiveStream(plan, publisher, runs, metrics, log_context)
+        rate_hz = plan.tool.board.sample_rate_hz
+        self.annotations = annotations = Annotations(publisher, runs, samples, rate_hz)
+        self._live_stream = live = LiveStream(plan, publisher, runs, annotations, metrics, log_context)
         is_replay = bool(plan.opened_recordings)
         self.state = state = StateReporter(
             publisher,
@@ -84,11 +87,12 @@ class ToolService:
             recorder,
             checks,
             references,
+            annotations,
             metrics,
             is_replay,
         )
         self.run_controller = RunController(
-            plan, publisher, commander, supervisor, arming, runs, samples, references, state, log_context
+            plan, publisher, commander, supervisor, arming, runs, samples, references, annotations, state, log_context
         )
         self.receiver = BlockReceiver(publisher, supervisor, watchdog, arming, samples, live, state, metrics)
         self.receiver.listeners.append(references.on_block)
@@ -254,6 +258,7 @@ class ToolService:
         elif run := self.runs.last:
             grasps = self.runs.list_grasps(run.id)[-MAX_INITIAL_GRASPS:]
             messages += [GraspEnded(run_id=run.id, grasp=grasp) for grasp in grasps]
+            messages += self.annotations.of_run(run.id)
         messages += self.alarms.current_alarms()
         if self._live_stream.identification:
             messages.append(self._live_stream.identification)

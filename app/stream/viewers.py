@@ -8,9 +8,7 @@ from fastapi import WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from app.host.clock import now_ms
-from app.messages.alarms import Alarm
-from app.messages.grasps import GraspEnded
-from app.messages.live import FRAME_HEADER, EventMessage, FrameReceived, ReplayControl
+from app.messages.live import FRAME_HEADER, FrameReceived, ReplayControl, StreamEvent
 
 MAX_QUEUED_MESSAGES = 2_000  # messages are never dropped: a viewer with more unread is disconnected
 MAX_KEPT_EVENTS = 1_000  # that a viewer can catch up on after it was disconnected
@@ -119,7 +117,7 @@ class Viewer:
 class ViewerHub:
     """Hub of the live stream: sends messages to all viewers, and numbers and keeps the newest events.
 
-    Events are log lines, changes of alarms, and ended grasps.
+    Events are log lines, changes of alarms, ended grasps, and what people say of them.
 
     Events are numbered. The numbers of a service begin at the time of its start in milliseconds, so they are greater
     than all numbers of an earlier service.
@@ -129,11 +127,11 @@ class ViewerHub:
         self._window_frames = window_frames
         self.viewers: set[Viewer] = set()
         self.newest_event_number = int(now_ms())
-        self._events: deque[EventMessage | Alarm | GraspEnded] = deque(maxlen=MAX_KEPT_EVENTS)
+        self._events: deque[StreamEvent] = deque(maxlen=MAX_KEPT_EVENTS)
 
     def broadcast(self, message: BaseModel) -> None:
         """Send a message to all viewers; number it and keep it if it is an event."""
-        if isinstance(message, EventMessage | Alarm | GraspEnded):
+        if isinstance(message, StreamEvent):
             self.newest_event_number += 1
             message = message.model_copy(update={"number": self.newest_event_number})
             self._events.append(message)
@@ -141,7 +139,7 @@ class ViewerHub:
         for viewer in self.viewers:
             viewer.send(text)
 
-    def list_events_after(self, number: int) -> list[EventMessage | Alarm | GraspEnded] | None:
+    def list_events_after(self, number: int) -> list[StreamEvent] | None:
         """Return the events numbered after `number`; None if not all of them are kept, or there was no such event."""
         missed = self.newest_event_number - number
         return list(self._events)[len(self._events) - missed :] if 0 <= missed <= len(self._events) else None

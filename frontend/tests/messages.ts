@@ -72,6 +72,7 @@ export const state = (values: Partial<State> = {}): State => ({
   estimator_latency_ms: null,
   viewers: 1,
   recording: { enabled: false, file: null, samples: 0, missing_blocks: 0, problem: null },
+  stated: { held: null, remark: null, by: null },
   reference: { taken_at: null, stall_v: null, declined: false, wanted: false, problem: null },
   free_disk_bytes: null,
   faults: [],
@@ -102,6 +103,8 @@ export const identification = (values: Partial<Identification> = {}): Identifica
   force_error_n: {},
   spots: [],
   nis: {},
+  dose_n_s: null,
+  spot_dose_n_s: null,
   ...values,
 });
 
@@ -149,6 +152,10 @@ export const graspEnded = (runId: string | null, index: number): GraspEnded => (
     alarms: [],
     held_back: false,
     peak_share_of_limit: null,
+    dose_n_s: null,
+    time_above_s: {},
+    log_sd: {},
+    nis: {},
   },
 });
 

@@ -102,9 +102,9 @@ def test_by_keyboard_alone(service, watch):
     expect(viewer.at("run-message")).to_contain_text("1 grasp")
     viewer.page.keyboard.press("Tab")
     viewer.page.keyboard.press("Tab")  # out of the fields, where a digit is only a digit
-    viewer.page.keyboard.press("3")
+    viewer.page.keyboard.press("Shift+3")
     expect(viewer.at("tissues-table")).to_be_visible()
-    viewer.page.keyboard.press("1")
+    viewer.page.keyboard.press("Shift+1")
     expect(viewer.at("tissue-label")).to_be_visible()
     viewer.page.keyboard.press("t")
     expect(viewer.page.locator("html")).to_have_attribute("data-theme", "light")

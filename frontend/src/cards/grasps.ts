@@ -2,24 +2,27 @@ import { create, find, setHidden, setText } from "../dom";
 import { NO_VALUE, newtons, percent, shortTime, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import { tissueStyles, UNKNOWN_SLOT } from "../tissues";
-import type { GraspEnded, Priority } from "../wire";
+import type { GraspEnded, GraspTruth, Priority } from "../wire";
+import type { CorrectionForm } from "./correction";
 
 /** Lists the grasps of this run, newest first. */
 export class GraspsTable {
   private shown: GraspEnded[] | null = null;
+  private truthsShown: ReadonlyMap<number, GraspTruth> | null = null;
 
   constructor(
     private readonly root: HTMLElement,
     private readonly model: Model,
+    private readonly correction: CorrectionForm,
   ) {}
 
   render(): void {
-    const { grasps } = this.model;
+    const { grasps, truths } = this.model;
     setHidden(find(this.root, "grasps"), grasps.length === 0);
     setText(find(this.root, "grasps-empty"), this.note());
     this.renderLink();
-    if (grasps === this.shown) return;
-    this.shown = grasps;
+    if (grasps === this.shown && truths === this.truthsShown) return;
+    [this.shown, this.truthsShown] = [grasps, truths];
     find(this.root, "grasps-body").replaceChildren(...grasps.map((ended) => this.row(ended)));
   }
 
@@ -58,6 +61,7 @@ export class GraspsTable {
     row.append(
       create("td", "", runId === null && this.model.graspsOfRun !== null ? NO_VALUE : String(grasp.index)),
       tissue,
+      this.held(grasp.index, runId),
       create("td", "", percent(grasp.probability)),
       create("td", "roomy", shortTime(grasp.time_to_decision_s)),
       create("td", "", newtons(grasp.peak_force_n)),
@@ -65,6 +69,25 @@ export class GraspsTable {
       this.alarms(alarms, heldBack),
     );
     return row;
+  }
+
+  /** What a person said that was held, with a button that corrects it. */
+  private held(grasp: number, runId: string | null): HTMLTableCellElement {
+    const cell = create("td", "held");
+    const truth = this.model.truths.get(grasp);
+    const words = [truth?.held ? this.model.titleOf(truth.held) : "", truth?.remark ?? ""].filter(Boolean).join(", ");
+    const isOfRun = this.model.isReplay || runId !== null;
+    if (!isOfRun || !this.correction.isAllowed) {
+      cell.textContent = words || NO_VALUE;
+      return cell;
+    }
+    const button = create("button", "", words || "say");
+    button.type = "button";
+    button.ariaLabel = `What was held in grasp ${grasp}: ${words || "not stated"}. Correct it`;
+    button.dataset.testid = `truth-of-${grasp}`;
+    button.addEventListener("click", () => this.correction.open(grasp));
+    cell.append(button);
+    return cell;
   }
 
   /** Counts the alarms of each priority, in words, so that color is not needed. */

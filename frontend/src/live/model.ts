@@ -1,5 +1,5 @@
 import { SCHEMA_VERSION } from "../wire";
-import type { Alarm, GraspEnded, Hello, Identification, ReplayState, ServerMessage, State, TissueInfo } from "../wire";
+import type { Alarm, GraspEnded, GraspTruth, Hello, Identification, Mark, ReplayState, ServerMessage, State, TissueInfo } from "../wire";
 import { ServerClock } from "./clock";
 import type { Frame } from "./frame";
 import { FreshnessWatch } from "./freshness";
@@ -32,6 +32,10 @@ export class Model {
   /** Grasps of this run, newest first. */
   grasps: GraspEnded[] = [];
   graspsOfRun: string | null = null;
+  /** Stated ground truth of this run's grasps, by their index. */
+  truths: ReadonlyMap<number, GraspTruth> = new Map();
+  /** Marks of this run, newest first. */
+  marks: readonly Mark[] = [];
   readonly alarms = new Map<string, Alarm>();
   readonly clock = new ServerClock();
   readonly freshness = new FreshnessWatch(performance.now());
@@ -66,6 +70,11 @@ export class Model {
     const readAt = this.clock.toPage(this.newestMs);
     const noCommand = !this.hasMotor || Math.abs(this.newest("motor_command_v")) < COMMAND_ON_V;
     return atRest && toldAt > sinceMs && readAt > sinceMs && noCommand;
+  }
+
+  /** Newest sample that the page has; null before the first. */
+  get newestTick(): number | null {
+    return this.ring && !this.ring.isEmpty ? this.ring.end - 1 : null;
   }
 
   get tissues(): TissueInfo[] {
@@ -109,6 +118,10 @@ export class Model {
         return this.onIdentification(message, nowMs);
       case "grasp":
         return this.onGraspEnded(message);
+      case "truth":
+        return this.onTruth(message);
+      case "mark":
+        return this.onMark(message);
       case "alarm":
         if (message.active || message.latched) this.alarms.set(message.id, message);
         else this.alarms.delete(message.id);
@@ -146,6 +159,19 @@ export class Model {
     if (id === this.graspsOfRun) return;
     this.graspsOfRun = id;
     this.grasps = [];
+    this.truths = new Map();
+    this.marks = [];
+  }
+
+  /** Takes what a person said of a grasp of this run, and of no other one. */
+  onTruth(truth: GraspTruth): void {
+    if (truth.run_id === this.graspsOfRun) this.truths = new Map(this.truths).set(truth.grasp, truth);
+  }
+
+  onMark(mark: Mark): void {
+    if (mark.run_id !== this.graspsOfRun) return;
+    const others = this.marks.filter(({ id }) => id !== mark.id);
+    this.marks = (mark.deleted ? others : [mark, ...others]).toSorted((a, b) => b.at_s - a.at_s);
   }
 
   /** Adds a grasp. One outside of a run, such as one cut short by STOP, is listed with the run before it. */

@@ -6,6 +6,9 @@ import type {
   ControlInfo,
   ControlRequest,
   DeclineRequest,
+  GraspTruth,
+  Mark,
+  MarkRequest,
   Priority,
   Problem,
   ProtocolInfo,
@@ -19,6 +22,9 @@ import type {
   SpotRequest,
   StopRequest,
   ToolInfo,
+  TruthCorrection,
+  TruthRequest,
+  TruthStatement,
 } from "../wire";
 
 const TIMEOUT_MS = 5000;
@@ -78,6 +84,22 @@ export const declineReference = (by: string | null): Promise<ReferenceState> =>
   postJson("/api/reference/decline", { by } satisfies DeclineRequest);
 
 export const beginSpot = (by: string | null): Promise<Run> => postJson("/api/spots", { by } satisfies SpotRequest);
+
+export const stateTruth = (request: TruthRequest): Promise<TruthStatement> => postJson("/api/truth", request);
+
+export const getTruths = (run: string): Promise<GraspTruth[]> => getJson(`/api/runs/${encodeURIComponent(run)}/truth`);
+
+export const correctTruth = (run: string, grasp: number, request: TruthCorrection): Promise<GraspTruth> =>
+  fetchJson("PUT", `/api/runs/${encodeURIComponent(run)}/grasps/${grasp}/truth`, TIMEOUT_MS, request);
+
+export const addMark = (request: MarkRequest): Promise<Mark> => postJson("/api/marks", request);
+
+export const getMarks = (run: string): Promise<Mark[]> => getJson(`/api/runs/${encodeURIComponent(run)}/marks`);
+
+export const deleteMark = (mark: Mark, by: string | null): Promise<Mark> => {
+  const asked = new URLSearchParams({ version: String(mark.version), ...(by === null ? {} : { by }) });
+  return fetchJson("DELETE", `/api/marks/${encodeURIComponent(mark.id)}?${asked}`, TIMEOUT_MS);
+};
 
 export const acknowledgeAlarm = (id: string, priority: Priority, by: string): Promise<Alarm> => {
   const request: AcknowledgeRequest = { by, priority };

@@ -1,5 +1,6 @@
 import { Connection } from "../live/connection";
 import { Model } from "../live/model";
+import { getMarks, getTruths } from "../live/rest";
 import type { Person } from "../shell/person";
 import type { Page } from "../shell/router";
 import { ReplayBar } from "./replay-bar";
@@ -32,7 +33,15 @@ export class ReplayPage implements Page {
     });
     this.bar = new ReplayBar(this.watch.root, this.model, name, (control) => this.connection.send(control));
     this.keys = [...this.watch.keys, ...this.bar.keys];
+    this.model.graspsOfRun = name.replace(/\.mcap$/, "");
+    void this.loadAnnotations(this.model.graspsOfRun);
     this.connection.start();
+  }
+
+  /** Loads what people have said of the run. A recording that the index does not know has nothing. */
+  private async loadAnnotations(run: string): Promise<void> {
+    for (const truth of await getTruths(run).catch(() => [])) this.model.onTruth(truth);
+    for (const mark of await getMarks(run).catch(() => [])) this.model.onMark(mark);
   }
 
   render(nowMs: number): void {

@@ -1,10 +1,12 @@
 import { AgeLabels } from "../cards/age-labels";
+import { CorrectionForm } from "../cards/correction";
 import { CriteriaTable } from "../cards/criteria";
 import { ForceCard } from "../cards/force";
 import { GraspsTable } from "../cards/grasps";
 import { ProtocolPanel } from "../cards/protocol";
 import { StressCard } from "../cards/stress";
 import { TissueCard } from "../cards/tissue";
+import { TruthCard } from "../cards/truth";
 import { ChartStack } from "../charts/stack";
 import { fill } from "../dom";
 import type { Model } from "../live/model";
@@ -21,18 +23,18 @@ import markup from "./watch.html?raw";
 export class WatchPage implements Page {
   readonly root: HTMLElement;
   readonly charts: ChartStack;
-  readonly keys: KeyAction[];
   private readonly tissue: TissueCard;
   private readonly force: ForceCard;
   private readonly stress: StressCard;
   private readonly criteria: CriteriaTable;
   private readonly grasps: GraspsTable;
   private readonly protocol: ProtocolPanel;
+  private readonly truth: TruthCard;
   private readonly ages: AgeLabels;
 
   constructor(
     box: HTMLElement,
-    model: Model,
+    private readonly model: Model,
     person: Person,
   ) {
     const root = fill(box, markup);
@@ -45,10 +47,16 @@ export class WatchPage implements Page {
     this.charts = new ChartStack(root, model);
     this.stress = new StressCard(root, model);
     this.criteria = new CriteriaTable(root, model);
-    this.grasps = new GraspsTable(root, model);
+    this.grasps = new GraspsTable(root, model, new CorrectionForm(root, model, person));
+    this.truth = new TruthCard(root, model, person);
     this.protocol = new ProtocolPanel(root, model, person);
-    this.keys = [...chartKeys(this.charts), ...(model.isReplay ? [] : [startKey(this.protocol), spotKey(this.protocol)])];
     if (!model.isReplay) void this.protocol.load();
+  }
+
+  /** The tissues' keys change with the library. */
+  get keys(): KeyAction[] {
+    const live = this.model.isReplay ? [] : [startKey(this.protocol), spotKey(this.protocol), ...this.truth.keys];
+    return [...chartKeys(this.charts), ...live];
   }
 
   render(nowMs: number): void {
@@ -56,6 +64,7 @@ export class WatchPage implements Page {
     this.tissue.render(nowMs);
     this.force.render();
     this.protocol.render();
+    this.truth.render();
     this.grasps.render();
     this.criteria.render();
     this.stress.render(nowMs);

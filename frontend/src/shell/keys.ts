@@ -37,7 +37,8 @@ export class KeyHandler {
     if (event.ctrlKey || event.metaKey || event.altKey || event.repeat || isField(event.target)) return;
     if (event.key.startsWith("Arrow") && event.target instanceof HTMLInputElement) return; // the key moves that slider
     if (event.key === " " && event.target instanceof HTMLButtonElement) return; // the key presses that button
-    const action = [...this.globalKeys, ...this.pageKeys(), this.help].find(({ key }) => key === event.key);
+    const name = keyName(event);
+    const action = [...this.globalKeys, ...this.pageKeys(), this.help].find(({ key }) => key === name);
     if (!action || (this.dialog.open && action !== this.help)) return;
     event.preventDefault();
     action.run();
@@ -51,6 +52,14 @@ export class KeyHandler {
     );
     this.dialog.show(); // not modal: STOP must stay within reach
   }
+}
+
+/** Returns the key's character. Digits go by their place: on some keyboards they need Shift, on others Shift makes signs. */
+function keyName(event: KeyboardEvent): string {
+  const digit = /^Digit(\d)$/.exec(event.code)?.[1];
+  if (digit === undefined) return event.key;
+  if (!event.shiftKey) return digit;
+  return digit >= "1" && digit <= "5" ? `Shift+${digit}` : event.key;
 }
 
 /** Shows lists permanently open if the browser would open them outside of the page, where Escape is not STOP. */
