@@ -4,6 +4,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from app.messages.alarms import Alarm, AlarmKind
+from app.messages.annotations import GraspTruth, Mark
 from app.messages.grasps import Grasp, GraspEnded
 from app.messages.journal import JournalEntry, JournalKind
 from app.messages.recordings import FileCondition, FileRecord
@@ -83,6 +84,16 @@ def alarm(change: int = 1, **facts: Any) -> Alarm:
             **facts,
         }
     )
+
+
+def truth(grasp_index: int = 1, version: int = 1, **facts: Any) -> GraspTruth:
+    known = {"held": "liver", "remark": None, "by": "Ada", "at": at(1.0), "why": None}
+    return GraspTruth(run_id=run().id, grasp=grasp_index, version=version, **known | facts)
+
+
+def mark(version: int = 1, **facts: Any) -> Mark:
+    known = {"text": "smoke", "by": "Ada", "changed_at": at(1.0), "at_s": 1.5, "at_ms": 1.5e12, "uncertainty_s": 0.02}
+    return Mark(id=f"{run().id}-mark1", run_id=run().id, version=version, **known | facts)
 
 
 def line(second: float = 0.0, text: str = "The tool is acquiring", **facts: Any) -> JournalEntry:

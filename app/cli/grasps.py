@@ -1,34 +1,28 @@
 """`graspwatch grasps`: one tidy table of the grasps of many recordings."""
 
-import contextlib
 import operator
-import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, parse_labels_of
+from app.cli.grasp_collection import EstimationContext, collect, find_files, read_corrected_truths
+from app.cli.label_option import LABEL_HELP, LABEL_METAVAR
 from app.cli.options import (
     DEFAULT_RECORDING_TOOL,
     ConfigOption,
     DataOption,
     LibraryOption,
-    ProgressBar,
     ToolOption,
     explain_write_errors,
-    find_data_folder,
     locate_data_folder,
 )
 from config.errors import ConfigurationError, RecordingError
 from config.load import load_library, load_settings, load_tool
-from config.schema import Settings, TissueLibrary, Tool
 
 if TYPE_CHECKING:
-    from app.messages.annotations import GraspTruth
     from app.recordings.grasp_rows import Row
 
 FORMATS = (".parquet", ".csv")
@@ -54,26 +48,6 @@ SHOWN_COLUMNS = {
     "why_invalid": "Remark",
 }
 MAX_SHOWN_ROWS = 50
-
-
-@dataclass(frozen=True, slots=True)
-class EstimationContext:
-    """How grasps are estimated: as recorded if `library` is None; other files with `default_library`."""
-
-    tool: Tool
-    settings: Settings
-    library: TissueLibrary | None
-    default_library: TissueLibrary
-
-
-@dataclass(frozen=True, slots=True)
-class GraspsJob:
-    """One recording, with the truth that was corrected since, and the label given on the command line."""
-
-    path: Path
-    how: EstimationContext
-    corrected: "dict[int, GraspTruth]"
-    label: str | None
 
 
 def grasps(
@@ -109,22 +83,12 @@ def grasps(
         raise ConfigurationError(f"{out}: the name must end with .parquet or .csv.")
     if out and out.exists():
         raise ConfigurationError(f"{out}: exists already, and is kept. Name another file with --out.")
-    files = list(recordings or [])
-    labels = {path: name for name, paths in parse_labels_of(label or [], files) for path in paths}
-    files += [path for path in labels if path not in files]
-    if everything:
-        folder = find_data_folder(data, settings) / "recordings"
-        files += sorted(path for path in folder.glob("*.mcap") if path not in files)
-    if not files:
-        raise ConfigurationError("Name recordings, or take all of the data folder with --all.")
-    for path in files:
-        if not path.is_file():
-            raise RecordingError(f"{path}: there is no such file. Check the path.")
+    files, labels = find_files(recordings, label, everything=everything, data=data, settings=settings)
     named = load_library(library, own) if library else None
     log_tool, default = load_tool(tool or DEFAULT_RECORDING_TOOL, own), named or load_library(settings.library, own)
     how = EstimationContext(log_tool, settings, named, default)
 
-    rows = _collect(files, how, _read_corrected_truths(files, own, settings), labels)
+    rows = collect(files, how, read_corrected_truths(files, own, settings), labels)
     if not rows:
         raise RecordingError(f"None of the {len(files)} recordings has a grasp: nothing is written.")
     rows = _filter(rows, conditions)
@@ -140,64 +104,6 @@ def _parse_condition(text: str) -> Condition:
     if not found:
         raise ConfigurationError(f"--where {text}: expected a column, =, !=, <, <=, > or >=, and a value.")
     return found[1], found[2], found[3]
-
-
-def _read_corrected_truths(files: list[Path], data: Path, settings: Settings) -> dict[Path, "dict[int, GraspTruth]"]:
-    """Return what people said of recordings in the data folder, which may have been corrected since."""
-    from app.index.database import index_url_from_settings
-    from app.index.store import Store  # slow imports
-
-    folder = data / "recordings"
-    own = [path for path in files if path.resolve().parent == folder.resolve()]
-    if not own:
-        return {}
-    with contextlib.closing(Store(index_url_from_settings(settings, data))) as store:
-        return {path: {each.grasp: each for each in store.list_run_truths(path.stem)} for path in own}
-
-
-def _collect(
-    files: list[Path], how: EstimationContext, corrected: dict[Path, "dict[int, GraspTruth]"], labels: dict[Path, str]
-) -> list["Row"]:
-    """Return the rows of all files, in their order; several processes work on them."""
-    from estimator.studies.case_runner import run_cases
-
-    wanted = [GraspsJob(path, how, corrected.get(path, {}), labels.get(path)) for path in files]
-    with ProgressBar("grasps", float(len(files))) as progress:
-        if len(files) == 1:
-            return collect_rows(wanted[0])
-        jobs = min(len(files), len(os.sched_getaffinity(0)))
-        return [row for rows in run_cases(collect_rows, wanted, lambda done, _: progress(done), jobs) for row in rows]
-
-
-def collect_rows(job: GraspsJob) -> list["Row"]:
-    """Return the rows of one recording.
-
-    Raises:
-        RecordingError: it cannot be read.
-        ConfigurationError: the library was learned with another tool.
-    """
-    from acquisition.recordings.recording import RecordingSource, is_mcap
-    from app.analysis.headless import replay_recording
-    from app.recordings.grasp_rows import GraspContext, build_grasp_rows, newest, read_recorded_grasps
-    from app.recordings.mcap_writer import RecordingContext
-
-    path, how = job.path, job.how
-    recorded = read_recorded_grasps(path) if is_mcap(path) else None
-    if recorded and how.library is None:
-        context, found, spots, truths = recorded.context, recorded.grasps, recorded.spots, recorded.truths
-    else:
-        recording = RecordingSource(path, how.tool)
-        library = how.library or how.default_library
-        library.check_tool(recording.tool)
-        made = replay_recording(recording, RecordingContext(recording.tool, library, how.settings), lambda share: None)
-        at = recording.conditions.recorded_at
-        context = recorded.context if recorded else GraspContext(recording=path.name, recorded_at=at and at.isoformat())
-        context = replace(context, tool=recording.tool.name, library=library.name, force_scale=made.force_scale)
-        found, spots, truths = made.grasps, made.spots, dict(recorded.truths) if recorded else {}
-    for grasp, truth in job.corrected.items():
-        truths[grasp] = newest(truths.get(grasp), truth)
-    rows = build_grasp_rows(context, found, spots, truths)
-    return [row | {"truth": row["truth"] or job.label} for row in rows]
 
 
 def _filter(rows: list["Row"], conditions: list[Condition]) -> list["Row"]:

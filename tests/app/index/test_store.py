@@ -8,7 +8,7 @@ from datetime import timedelta
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from messages import BEGIN, alarm, grasp, line, record, run
+from messages import BEGIN, alarm, grasp, line, mark, record, run, truth
 from sqlalchemy import URL, delete
 
 from app.index.ingest import IndexedMessage
@@ -65,6 +65,21 @@ def test_a_line_of_the_journal_brings_what_it_is_about(store: Store) -> None:
     store.ingest(record())  # it was put back
     store.ingest(line(3, "Recording deleted", kind=JournalKind.DELETED, by="Ada", file=gone))  # an old line again
     assert store.get_file("run-001.rec") == record()
+
+
+def test_the_newest_statement_and_the_newest_mark_count(store: Store) -> None:
+    store.ingest(line(3, "corrected", kind=JournalKind.TRUTH, truth=truth(2, 2, held="bladder", why="the video")))
+    store.ingest(line(2, "stated", kind=JournalKind.TRUTH, truth=truth(2, 1)))
+    store.ingest(truth(1, 1))
+    run_id = run().id
+    assert [(each.grasp, each.held) for each in store.list_run_truths(run_id)] == [(1, "liver"), (2, "bladder")]
+    assert store.list_run_truths("none") == []
+
+    store.ingest(line(1, "mark", kind=JournalKind.MARK, mark=mark()))
+    assert [each.text for each in store.list_run_marks(run_id)] == ["smoke"]
+    store.ingest(line(2, "deleted", kind=JournalKind.MARK, mark=mark(2, deleted=True)))
+    assert store.list_run_marks(run_id) == []
+    assert store.get_mark(mark().id) == mark(2, deleted=True)
 
 
 def test_words_that_a_database_does_not_like_are_kept(store: Store) -> None:
@@ -137,6 +152,8 @@ def random_messages(seed: int, count: int) -> list[IndexedMessage]:
         lambda: alarm(chance.randrange(1, 9), id=f"force-{chance.randrange(3)}", active=chance.random() < 0.5),
         lambda: line(chance.randrange(5), chance.choice("ab"), run=run(chance.randrange(3), state=FINISHED)),
         lambda: line(chance.randrange(5), alarm=alarm(chance.randrange(1, 9), id="force-1")),
+        lambda: truth(chance.randrange(1, 4), chance.randrange(1, 4), held=chance.choice(["liver", None])),
+        lambda: line(chance.randrange(5), mark=mark(chance.randrange(1, 4), deleted=chance.random() < 0.5)),
     ]
     return [chance.choice(makers)() for _ in range(count)]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from messages import alarm, grasp, line, record, run
+from messages import alarm, grasp, line, mark, record, run, truth
 from sqlalchemy import URL
 
 from acquisition.recordings.mcap_reader import JsonMessage, McapFile
@@ -21,7 +21,8 @@ from app.index.rebuild import parse_journal_lines, rebuild
 from app.index.store import Store
 from app.messages.alarms import Alarm
 from app.messages.base import Record
-from app.messages.journal import JournalEntry, JournalKind
+from app.messages.grasps import Identification
+from app.messages.journal import RECORD_FIELDS, JournalEntry, JournalKind
 from app.messages.recordings import FileCondition
 from app.messages.runs import Run, RunState
 from app.messages.stored import read_stored
@@ -29,8 +30,9 @@ from app.messages.studies import StudyRun
 from app.recordings.catalog import open_recording
 from app.recordings.index_reader import RECORDING_READERS, read_file_record, read_recorded_messages
 from app.recordings.run_reader import read_run
-from app.recordings.topics import TOPIC_MODELS, decode_message
+from app.recordings.topics import IDENTIFICATION_TOPIC, MARK_TOPIC, TOPIC_MODELS, decode_message, encode_message
 from config.load import load_tool
+from estimator.estimate_block import SpotVerdict
 
 BEFORE = Path(__file__).parents[2] / "stored_before"
 RECORDING = BEFORE / "20261130-030315-68cf-001.mcap"
@@ -106,8 +108,7 @@ def with_unknown_fields(content: Any) -> Any:
     if not isinstance(content, dict):
         return content
     inner = {
-        name: with_unknown_fields(each) if name in ("run", "alarm", "file", "grasp") else each
-        for name, each in content.items()
+        name: with_unknown_fields(each) if name in (*RECORD_FIELDS, "grasp") else each for name, each in content.items()
     }
     return {"of_a_later_version": {"x": [1, None]}, **inner}
 
@@ -118,6 +119,9 @@ STORED_RECORDS: list[Record] = [
     alarm(),
     record(),
     line(run=run(), alarm=alarm(), file=record()),
+    truth(),
+    mark(),
+    line(truth=truth(), mark=mark()),
     StudyRun(
         id="1",
         study="identify",
@@ -143,9 +147,37 @@ def test_a_record_of_a_later_version_is_read_without_the_fields_that_are_not_kno
     assert read_stored(type(stored), json.dumps(content).encode()) == stored
 
 
+def test_records_in_a_list_may_lack_fields_without_a_value() -> None:
+    """A recording leaves out what is null, also in the spots of an identification."""
+    spot = SpotVerdict(index=1, grasps=(1,), label="undecided", probability=None, probabilities={}, began_s=0.0)
+    told = Identification(
+        server_time_ms=0.0,
+        tick=5,
+        grasp=0,
+        in_grasp=False,
+        in_contact=False,
+        label="undecided",
+        probability=None,
+        probabilities={},
+        time_to_decision_s=None,
+        force_n=None,
+        peak_force_n=None,
+        threshold_n=1.0,
+        threshold_tissue=None,
+        limit_n=None,
+        holding_back=False,
+        time_to_limit_s=None,
+        thickness_m=None,
+        convergence_s={},
+        force_error_n={},
+        spots=(spot,),
+    )
+    assert decode_message(IDENTIFICATION_TOPIC, encode_message(told)) == told
+
+
 def test_the_messages_of_a_recording_of_a_later_version_are_read() -> None:
     told = [each for each in McapFile(RECORDING).iter_content(*TOPIC_MODELS) if isinstance(each, JsonMessage)]
-    assert {each.topic for each in told} == set(TOPIC_MODELS)
+    assert {each.topic for each in told} == set(TOPIC_MODELS) - {MARK_TOPIC}  # that version had no marks
     for each in told:
         later = json.dumps(with_unknown_fields(json.loads(each.content))).encode()
         assert decode_message(each.topic, later) == decode_message(each.topic, each.content)
