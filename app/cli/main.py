@@ -11,6 +11,7 @@ from app.cli import token as people
 from app.cli.bench import bench
 from app.cli.check import check
 from app.cli.console import escape_unencodable_output, print_error
+from app.cli.evaluate import evaluate
 from app.cli.export import export
 from app.cli.grasps import grasps
 from app.cli.import_ import import_
@@ -49,6 +50,7 @@ for command in (export, label, check, bench, support):
     app.command()(command)
 app.command(cls=LabelCommand)(report)
 app.command(cls=LabelCommand)(grasps)
+app.command(cls=LabelCommand)(evaluate)
 app.command(cls=LearnCommand)(learn)
 for command in (serve, run, replay, index):
     app.command()(command)

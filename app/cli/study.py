@@ -1,6 +1,5 @@
 """`graspwatch study`: how accurate, early and well calibrated the estimator is, as a page and a JSON."""
 
-import json
 import time
 from collections.abc import Callable
 from datetime import date
@@ -10,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
-from rich.text import Text
 
-from app.cli.console import create_console, error_console, print_note
+from app.cli.console import error_console, print_note
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR, LabelCommand, parse_labels_of
 from app.cli.options import DataOption, ProgressBar, explain_write_errors, locate_data_folder
+from app.cli.study_output import print_study
 from config.atomic_write import check_writable
 from config.errors import ConfigurationError
 from config.load import (
@@ -31,7 +29,6 @@ from estimator.studies.catalog import MAX_GRASPS, STUDIES, StudyDefinition
 
 if TYPE_CHECKING:
     from estimator.studies.answer_course import StudyConditions
-    from estimator.studies.study_report import StudyResult
 
 app = typer.Typer(
     help="Measure how right, how early and how honest the estimator is. Each study writes a self-contained HTML page "
@@ -205,7 +202,7 @@ def validate_on_new_spots(
             "no tissue has two recordings, so nothing says how much spots differ. Record another spot of each tissue."
         )
     about = {"tool": context.name, "base": base, "recordings": str(len(found.recordings)), "date": today}
-    _print_study(build_spot_study(own, left_out, about), out, as_json)
+    print_study(build_spot_study(own, left_out, about), out, as_json)
 
 
 def _collect_labeled_files(labels: list[str], recordings: list[Path]) -> dict[str, list[Path]]:
@@ -243,7 +240,7 @@ def _run_study(
     _check_output_folder(out)
     with _ProgressDisplay(study.name) as progress:
         result = study.run(bench, grasps, seed, progress, jobs)
-    _print_study(result, out, as_json)
+    print_study(result, out, as_json)
 
 
 def _check_output_folder(out: Path) -> None:
@@ -308,19 +305,3 @@ class _ProgressDisplay:
             self._estimate_printed = True
             left_s = (now_s - self._first_progress[0]) * (of - done) / (done - self._first_progress[1])
             error_console.print(f"{self._title}: {done} of {of} cases done, about {left_s:.0f} s left.", soft_wrap=True)
-
-
-def _print_study(study: "StudyResult", out: Path, as_json: bool) -> None:
-    with explain_write_errors(out):
-        page, data = study.write(out)
-    if as_json:
-        print(json.dumps(study.to_document(), indent=2, allow_nan=False))
-        return
-    table = Table("Figure", "Measured", "To reach", "", title=study.title)
-    words = {True: "reached", False: Text("not reached", "bold red"), None: ""}
-    for figure in study.figures:
-        value = "–" if figure.value is None else f"{figure.value:.3g} {figure.unit}".rstrip()
-        table.add_row(figure.name, value, figure.floor, words[figure.reached])
-    console = create_console()
-    console.print(table)
-    console.print(f"Report: {page}\nFigures: {data}", soft_wrap=True)
