@@ -83,7 +83,10 @@ class Estimating:
 
 @dataclass(frozen=True, slots=True)
 class RunMetadata:
-    """Description of a run before it begins. `protocol` is its JSON, `reference` that of the day's reference grasp."""
+    """Description of a run before it begins.
+
+    `protocol` is its JSON, `reference` that of the day's reference grasp, `session` that of the laboratory session.
+    """
 
     run_id: str
     protocol: str
@@ -91,6 +94,7 @@ class RunMetadata:
     tissue: str | None
     by: str | None
     reference: str | None = None
+    session: str | None = None
 
 
 # --- of the recorder -------------------------------------------------------------------------------------------------

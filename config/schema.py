@@ -5,6 +5,7 @@ import hashlib
 import ipaddress
 import json
 import math
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self, TypeGuard
@@ -1343,6 +1344,27 @@ class PeopleSettings(ConfigModel):
     control_expires_s: Positive = 600.0
 
 
+class LaboratorySettings(ConfigModel):
+    """Form of the subjects' codes, the laboratory's own fields of a session, and whether a run needs a session.
+
+    `subject_pattern` is a regular expression for the whole code, which must not be a name. With `session_required`, a
+    real tool starts no run without a session.
+    """
+
+    subject_pattern: Annotated[str, Field(min_length=1, max_length=200)] = r"[A-Z]{1,4}-?[0-9]{1,6}"
+    fields: tuple[Annotated[str, Field(min_length=1, max_length=40)], ...] = ()
+    session_required: bool = False
+
+    @field_validator("subject_pattern")
+    @classmethod
+    def _is_pattern(cls, pattern: str) -> str:
+        try:
+            re.compile(pattern)
+        except re.error as error:
+            raise ValueError(f"no regular expression: {error}") from None
+        return pattern
+
+
 class ConditioningSettings(ConfigModel):
     """The paper's low-pass filter for displayed signals: 2nd-order Butterworth at 10 Hz."""
 
@@ -1462,6 +1484,7 @@ class Settings(ConfigModel):
     index_url: SecretStr | None = None  # it may contain a password, so it is never shown
     server: ServerSettings = ServerSettings()
     people: PeopleSettings = PeopleSettings()
+    laboratory: LaboratorySettings = LaboratorySettings()
     conditioning: ConditioningSettings = ConditioningSettings()
     identification: IdentificationSettings = IdentificationSettings()
     safety: ArmingSettings = ArmingSettings()

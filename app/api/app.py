@@ -32,6 +32,7 @@ from app.api.routes import (
     configuration,
     control_lease,
     history,
+    lab_sessions,
     live,
     recordings,
     runs,
@@ -94,6 +95,7 @@ SECURITY_HEADERS = {
 ROUTE_MODULES = (
     runs,
     annotations,
+    lab_sessions,
     control_lease,
     calibration,
     session,

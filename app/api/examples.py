@@ -17,6 +17,7 @@ from app.messages.annotations import (
 from app.messages.calibration import Calibration, CalibrationKind, CalibrationReading, CalibrationRequest
 from app.messages.grasps import Grasp, GraspEnded
 from app.messages.journal import JournalCheck, JournalEntry, JournalKind
+from app.messages.lab_sessions import LabSession, LabSessionChange, LabSessionRequest, SpecimenCondition
 from app.messages.live import NO_REFERENCE
 from app.messages.named_files import (
     ColumnSummary,
@@ -183,6 +184,10 @@ EXAMPLES: dict[str, BaseModel] = {
         TruthCorrection(held="gallbladder", remark=GraspRemark.SLIPPED, version=1, why="seen on the video", by="Ada"),
         MarkRequest(text="irrigation on", by="Ada"),
         MarkChange(text="irrigation off", version=1, by="Ada"),
+        LabSessionRequest(subject="P-12", species="pig", condition=SpecimenCondition.IN_VIVO, operator="Ada"),
+        LabSessionChange(
+            subject="P-12", species="pig", condition=SpecimenCondition.EX_VIVO, operator="Ada", version=1, by="Ada"
+        ),
         AcknowledgeRequest(by="Ada", priority=Priority.MEDIUM),
         FileText(text=_PROTOCOL_TEXT),
         FileRequest(text=_PROTOCOL_TEXT, by="Ada"),
@@ -217,6 +222,21 @@ EXAMPLES: dict[str, BaseModel] = {
         _STUDY,
         GraspEnded(run_id=_RUN.id, grasp=_GRASP),
         TruthStatement(held="liver", remark=None, by="Ada"),
+        LabSession(
+            id="S20261130-090000",
+            subject="P-12",
+            species="pig",
+            specimen=None,
+            condition=SpecimenCondition.IN_VIVO,
+            operator="Ada",
+            protocol_number="2026-017",
+            notes=None,
+            fields={},
+            began_at="2026-11-30T09:00:00+00:00",
+            ended_at=None,
+            version=1,
+            by="Ada",
+        ),
         GraspTruth(
             run_id=_RUN.id,
             grasp=1,

@@ -18,6 +18,7 @@ TAGS = [
     {"name": "control", "description": "Who may start runs: one operator at a time, where people have tokens."},
     {"name": "alarms", "description": "Present alarms, their acknowledgment, and the journal since the start."},
     {"name": "annotations", "description": "What people say of runs: ground truth of grasps, and marks."},
+    {"name": "lab-sessions", "description": "Who is examined, by whom, and under which conditions."},
     {"name": "calibration", "description": "Calibrate the tool, one reading at a time."},
     {"name": "configuration", "description": "Own protocols, libraries and tool files, beside the shipped ones."},
     {"name": "tool", "description": "The tool, its protocols and tissues, and the health of the service."},

@@ -11,18 +11,19 @@ from typing import Any, TypeVar
 
 from sqlalchemy.orm import Session
 
-from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, IndexTable, MarkRow, RunRow, TruthRow
+from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, IndexTable, LabSessionRow, MarkRow, RunRow, TruthRow
 from app.messages.alarms import Alarm
 from app.messages.annotations import GraspTruth, Mark
 from app.messages.base import Record
 from app.messages.grasps import GraspEnded
 from app.messages.journal import RECORD_FIELDS, JournalEntry
+from app.messages.lab_sessions import LabSession
 from app.messages.recordings import FileRecord
 from app.messages.runs import Run, RunState
 from app.messages.stored import read_stored
 
 Row = TypeVar("Row", bound=IndexTable)
-IndexedMessage = Run | GraspEnded | GraspTruth | Mark | Alarm | JournalEntry | FileRecord
+IndexedMessage = Run | GraspEnded | GraspTruth | Mark | LabSession | Alarm | JournalEntry | FileRecord
 
 
 def ingest(session: Session, message: IndexedMessage, run_id: str | None = None) -> None:
@@ -40,6 +41,8 @@ def ingest(session: Session, message: IndexedMessage, run_id: str | None = None)
             _ingest_truth(session, message)
         case Mark():
             _ingest_mark(session, message)
+        case LabSession():
+            _ingest_lab_session(session, message)
         case Alarm():
             _ingest_alarm(session, message)
         case JournalEntry():
@@ -115,7 +118,7 @@ def _ingest_run(session: Session, run: Run) -> None:
     if row.message is not None and _run_recency(read_stored(Run, row.message)) >= _run_recency(run):
         return
     row.protocol, row.tissue, row.by = _replace_nul(run.protocol), _replace_nul(run.tissue), _replace_nul(run.by)
-    row.state, row.why = run.state.value, _replace_nul(run.why)
+    row.state, row.why, row.session = run.state.value, _replace_nul(run.why), _replace_nul(run.session)
     row.started_ms = parse_iso_ms(run.started_at)
     row.ended_ms = parse_iso_ms(run.ended_at) if run.ended_at else None
     row.message = _to_json_dict(run)
@@ -170,7 +173,20 @@ def _ingest_mark(session: Session, mark: Mark) -> None:
     row.deleted, row.version, row.message = mark.deleted, mark.version, _to_json_dict(mark)
 
 
-def _change_recency(changed: GraspTruth | Mark) -> tuple[int, str]:
+def _ingest_lab_session(session: Session, lab_session: LabSession) -> None:
+    row = _get_row(session, LabSessionRow, lab_session.id)
+    if row is None:
+        row = LabSessionRow(id=lab_session.id)
+        session.add(row)
+    elif _change_recency(read_stored(LabSession, row.message)) >= _change_recency(lab_session):
+        return
+    row.subject, row.species = _replace_nul(lab_session.subject) or "", _replace_nul(lab_session.species)
+    row.condition, row.began_ms = lab_session.condition.value, parse_iso_ms(lab_session.began_at)
+    row.ended_ms = parse_iso_ms(lab_session.ended_at) if lab_session.ended_at else None
+    row.version, row.message = lab_session.version, _to_json_dict(lab_session)
+
+
+def _change_recency(changed: GraspTruth | Mark | LabSession) -> tuple[int, str]:
     return changed.version, _to_json_text(changed)
 
 

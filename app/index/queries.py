@@ -8,7 +8,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 from sqlalchemy import ColumnElement, Connection, Select, and_, func, or_, select
 from sqlalchemy.orm import InstrumentedAttribute
 
-from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, RunRow
+from app.index.tables import AlarmRow, AuditRow, FileRow, GraspRow, LabSessionRow, RunRow
 from app.messages.alarms import AlarmKind
 from app.messages.journal import JournalKind
 from app.messages.runs import RunState
@@ -55,6 +55,7 @@ class RunQuery(PageQuery):
     tissue: Annotated[SearchText | None, Field(description="Tissue stated at its start")] = None
     label: Annotated[SearchText | None, Field(description="Label of one of its grasps")] = None
     by: SearchText | None = None
+    session: Annotated[SearchText | None, Field(description="Laboratory session that it belongs to")] = None
     q: Annotated[SearchText | None, Field(description="Text in its id, protocol, tissue, operator or reason")] = None
 
 
@@ -80,6 +81,11 @@ class AuditQuery(PageQuery):
     q: Annotated[SearchText | None, Field(description="Text in its message")] = None
 
 
+class LabSessionQuery(PageQuery):
+    subject: SearchText | None = None
+    q: Annotated[SearchText | None, Field(description="Text in its id, subject or species")] = None
+
+
 class FileQuery(PageQuery):
     run: SearchText | None = None
     deleted: bool | None = None
@@ -92,7 +98,7 @@ def select_runs(query: RunQuery) -> Select[tuple[RunRow]]:
     statement = select(RunRow).where(
         RunRow.state.is_not(None),
         *_match_equal((RunRow.state, query.state), (RunRow.protocol, query.protocol), (RunRow.tissue, query.tissue)),
-        *_match_equal((RunRow.by, query.by)),
+        *_match_equal((RunRow.by, query.by), (RunRow.session, query.session)),
         *_match_time_range(RunRow.started_ms, query),
         *_match_text(query.q, RunRow.id, RunRow.protocol, RunRow.tissue, RunRow.by, RunRow.why),
     )
@@ -149,6 +155,15 @@ def fetch_chain_positions(connection: Connection) -> list[ChainPosition]:
     own = message["hash"].as_string()
     statement = select(message["chain"].as_string(), message["number"].as_integer(), own, AuditRow.text)
     return [row.tuple() for row in connection.execute(statement.where(own.is_not(None)))]
+
+
+def select_lab_sessions(query: LabSessionQuery) -> Select[tuple[LabSessionRow]]:
+    statement = select(LabSessionRow).where(
+        *_match_equal((LabSessionRow.subject, query.subject)),
+        *_match_time_range(LabSessionRow.began_ms, query),
+        *_match_text(query.q, LabSessionRow.id, LabSessionRow.subject, LabSessionRow.species),
+    )
+    return _order_by(statement, query.order, LabSessionRow.began_ms, LabSessionRow.id)
 
 
 def select_files(query: FileQuery) -> Select[tuple[FileRow]]:

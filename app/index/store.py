@@ -14,19 +14,20 @@ from app.index.database import explain_database_errors, make_engine, make_writin
 from app.index.database_errors import is_write_conflict
 from app.index.index_lock import IndexLock
 from app.index.ingest import IndexedMessage, ingest, line_key
-from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery, RunQuery
-from app.index.tables import AuditRow, FileRow, GraspRow, IndexTable, MarkRow, RunRow, TruthRow
+from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, LabSessionQuery, PageQuery, RunQuery
+from app.index.tables import AuditRow, FileRow, GraspRow, IndexTable, LabSessionRow, MarkRow, RunRow, TruthRow
 from app.messages.alarms import Alarm
 from app.messages.annotations import GraspTruth, Mark
 from app.messages.grasps import Grasp, GraspEnded
 from app.messages.journal import JournalEntry
+from app.messages.lab_sessions import LabSession
 from app.messages.recordings import FileRecord
 from app.messages.runs import Run, RunState
 from app.messages.stored import read_stored
 
 MAX_TRIES = 5  # while another writer is faster
 M = TypeVar("M")
-RowT = TypeVar("RowT", RunRow, FileRow, MarkRow)
+RowT = TypeVar("RowT", RunRow, FileRow, MarkRow, LabSessionRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +145,21 @@ class Store:
     def get_mark(self, mark_id: str) -> Mark | None:
         row = self._get_row(MarkRow, mark_id)
         return read_stored(Mark, row.message) if row else None
+
+    def find_lab_sessions(self, query: LabSessionQuery) -> Page[LabSession]:
+        rows, total = self._fetch_page(queries.select_lab_sessions(query), query)
+        return Page([read_stored(LabSession, row.message) for row in rows], total)
+
+    def get_lab_session(self, session_id: str) -> LabSession | None:
+        row = self._get_row(LabSessionRow, session_id)
+        return read_stored(LabSession, row.message) if row else None
+
+    def find_lab_session_under_way(self) -> LabSession | None:
+        """Return the laboratory session that nobody has ended, the newest if there are several."""
+        query = select(LabSessionRow).where(LabSessionRow.ended_ms.is_(None)).order_by(LabSessionRow.began_ms.desc())
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            row = session.scalars(query).first()
+            return read_stored(LabSession, row.message) if row else None
 
     def find_alarms(self, query: AlarmQuery) -> Page[Alarm]:
         rows, total = self._fetch_page(queries.select_alarms(query), query)

@@ -27,6 +27,7 @@ class RunRow(IndexTable):
     ended_ms: Mapped[float | None]
     why: Mapped[str | None]
     grasps: Mapped[int] = mapped_column(default=0)
+    session: Mapped[str | None] = mapped_column(index=True)
     message: Mapped[dict[str, Any] | None]
 
 
@@ -67,6 +68,21 @@ class MarkRow(IndexTable):
     at_s: Mapped[float]
     text: Mapped[str]
     deleted: Mapped[bool]
+    version: Mapped[int]
+    message: Mapped[dict[str, Any]]
+
+
+class LabSessionRow(IndexTable):
+    """A laboratory session in its newest version."""
+
+    __tablename__ = "lab_sessions"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    subject: Mapped[str] = mapped_column(index=True)
+    species: Mapped[str | None]
+    condition: Mapped[str]
+    began_ms: Mapped[float] = mapped_column(index=True)
+    ended_ms: Mapped[float | None]
     version: Mapped[int]
     message: Mapped[dict[str, Any]]
 

@@ -7,7 +7,17 @@ from typing import Any
 from app import __version__
 from app.messages.json_schema import build_schema
 
-FROM_SERVICE = ("Hello", "State", "Identification", "GraspEnded", "GraspTruth", "Mark", "Alarm", "EventMessage")
+FROM_SERVICE = (
+    "Hello",
+    "State",
+    "Identification",
+    "GraspEnded",
+    "GraspTruth",
+    "Mark",
+    "LabSession",
+    "Alarm",
+    "EventMessage",
+)
 FROM_REPLAY = (*FROM_SERVICE, "ReplayState")
 FROM_VIEWER = ("FrameReceived",)
 FROM_REPLAY_VIEWER = (*FROM_VIEWER, "ReplayControl")

@@ -9,6 +9,7 @@ from pydantic import Field
 from app.messages.alarms import Alarm
 from app.messages.annotations import GraspTruth, Mark
 from app.messages.base import Message, Record
+from app.messages.lab_sessions import LabSession
 from app.messages.recordings import FileRecord
 from app.messages.runs import Run
 from estimator.force_alarms import Priority
@@ -35,6 +36,8 @@ class JournalKind(StrEnum):
     """What a person says that was held in a grasp, or a correction of it."""
     MARK = "mark"
     """A mark on a recording, its change or its deletion."""
+    SESSION = "session"
+    """A laboratory session was begun, changed or ended."""
     CHAIN = "chain"
     """The journal's note about itself: where its chain begins, or that a line was cut off."""
 
@@ -64,6 +67,7 @@ class JournalEntry(Record):
     file: FileRecord | None = Field(default=None, description="The recording that was deleted or restored")
     truth: GraspTruth | None = Field(default=None, description="The ground truth that was stated or corrected")
     mark: Mark | None = Field(default=None, description="The mark that was set, changed or deleted")
+    lab_session: LabSession | None = Field(default=None, description="The laboratory session in this version")
     action: str | None = Field(default=None, description="Requested action: the name of the route or of the command")
     client: str | None = Field(default=None, description="Address that the request came from")
     result: Result | None = None
@@ -88,7 +92,7 @@ class JournalEntry(Record):
         return self.model_copy(update=dict.fromkeys(CHAIN_FIELDS))
 
 
-RECORD_FIELDS = ("run", "alarm", "file", "truth", "mark")
+RECORD_FIELDS = ("run", "alarm", "file", "truth", "mark", "lab_session")
 """Fields of an entry that hold the record that it is about."""
 CHAIN_FIELDS = ("chain", "number", "after", "begins", "torn", "hash")
 

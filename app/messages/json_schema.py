@@ -31,6 +31,7 @@ from app.messages.calibration import Calibration, CalibrationRequest
 from app.messages.compatibility import find_unexpected_changes, find_unreadable_changes
 from app.messages.grasps import Grasp, GraspEnded, Identification
 from app.messages.journal import JournalCheck, JournalEntry
+from app.messages.lab_sessions import LabSession, LabSessionChange, LabSessionRequest
 from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, FrameReceived, ReplayControl, ServerMessage
 from app.messages.named_files import FileCheck, FileContent, FileList, FileRequest, FileText, ToolDraftReport
 from app.messages.people import ControlInfo, ControlRequest, SessionInfo, SignIn
@@ -89,12 +90,15 @@ SENT_BY_CLIENT: tuple[type[Request], ...] = (
     TruthCorrection,
     MarkRequest,
     MarkChange,
+    LabSessionRequest,
+    LabSessionChange,
 )
 STORED: tuple[type[Record], ...] = (
     Run,
     GraspEnded,
     GraspTruth,
     Mark,
+    LabSession,
     Alarm,
     Identification,
     JournalEntry,

@@ -5,7 +5,8 @@ oldest frames, but never a message. A viewer answers each frame with `FrameRecei
 `/api/recordings/{name}/replay` sends the same for a recording, and a `ReplayState` at every change and ten times a
 second. It obeys `ReplayControl`; after a jump it begins again with a `Hello`.
 
-Events (`EventMessage`, `Alarm`, `GraspEnded`, `GraspTruth`, `Mark`) are numbered in the order in which they are sent.
+Events (`EventMessage`, `Alarm`, `GraspEnded`, `GraspTruth`, `Mark`, `LabSession`) are numbered in the order in which
+they are sent.
 `/api/live?after=NUMBER` goes on after an event: `Hello`, `State`, every event after it, then the alarms that are on.
 The service keeps the last 1,000 events; if it does not have all of them, `Hello.resumed` is false and the stream
 begins anew.
@@ -27,6 +28,7 @@ from app.messages.alarms import Alarm
 from app.messages.annotations import NO_STATEMENT, GraspTruth, Mark, TruthStatement
 from app.messages.base import SCHEMA_VERSION, EventNumber, Message, Request
 from app.messages.grasps import GraspEnded, Identification
+from app.messages.lab_sessions import LabSession
 from app.messages.runs import Run
 from app.messages.tool import HoldableInfo, LibraryInfo, ToolInfo
 
@@ -81,6 +83,7 @@ class Hello(Message):
     warning_shares: list[float] = Field(description="Low, medium and high warning, as shares of the threshold")
     channels: list[ChannelInfo]
     frame_rate_hz: float
+    lab_fields: list[str] = Field(default=[], description="The laboratory's own fields of a session")
     resumed: bool | None = Field(
         default=None,
         description="Whether the stream goes on after the event that the viewer named (`after`); false: the service no "
@@ -140,6 +143,7 @@ class State(Message):
     stated: TruthStatement = Field(
         default=NO_STATEMENT, description="What a person says that the jaws hold, for the grasp under way or the next"
     )
+    session: LabSession | None = Field(default=None, description="Laboratory session under way")
     free_disk_bytes: int | None = Field(description="Null: the data folder is missing")
     faults: list[str]
     event_number: int | None = Field(
@@ -185,10 +189,10 @@ class ReplayState(Message):
     grasps: list[float] = Field(description="Start times of the grasps, s")
 
 
-StreamEvent = EventMessage | Alarm | GraspEnded | GraspTruth | Mark
+StreamEvent = EventMessage | Alarm | GraspEnded | GraspTruth | Mark | LabSession
 """A message with a number, after which the stream can go on."""
 
 ServerMessage = Annotated[
-    Hello | State | Identification | GraspEnded | GraspTruth | Mark | Alarm | EventMessage | ReplayState,
+    Hello | State | Identification | GraspEnded | GraspTruth | Mark | LabSession | Alarm | EventMessage | ReplayState,
     Field(discriminator="type"),
 ]

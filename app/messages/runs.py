@@ -29,6 +29,7 @@ class Run(Record):
     ended_at: str | None
     why: str | None = Field(description="Why the run stopped or failed")
     grasps: int
+    session: str | None = Field(default=None, description="Laboratory session that it belongs to")
 
 
 class RunRequest(Request):

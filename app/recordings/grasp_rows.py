@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from acquisition.recordings.mcap_layout import RECORDED_AT_METADATA
+from acquisition.recordings.mcap_layout import RECORDED_AT_METADATA, SESSION_ATTACHMENT
 from acquisition.recordings.mcap_reader import JsonMessage, McapFile
 from app.messages.annotations import GraspTruth
 from app.messages.grasps import GraspEnded, Identification
 from app.messages.journal import JournalEntry
+from app.messages.lab_sessions import LabSession
 from app.messages.runs import Run
+from app.messages.stored import read_stored
 from app.recordings.topics import GRASP_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC, RUN_TOPIC, decode_message
 from config.errors import RecordingError
 from estimator.estimate_block import GraspRecord, SpotVerdict
@@ -24,6 +26,12 @@ class GraspContext:
 
     recording: str | None = None
     run_id: str | None = None
+    session: str | None = None
+    subject: str | None = None
+    species: str | None = None
+    specimen: str | None = None
+    condition: str | None = None
+    operator: str | None = None
     recorded_at: str | None = None
     protocol: str | None = None
     tissue: str | None = None
@@ -69,9 +77,16 @@ def read_recorded_grasps(path: Path) -> RecordedGrasps:
                 truths[message.truth.grasp] = newest(truths.get(message.truth.grasp), message.truth)
             case Run() if message.id == about.get("run_id"):
                 run = message
+    session = _read_lab_session(container)
     context = GraspContext(
         recording=path.name,
         run_id=about.get("run_id"),
+        session=session.id if session else None,
+        subject=session.subject if session else None,
+        species=session.species if session else None,
+        specimen=session.specimen if session else None,
+        condition=session.condition.value if session else None,
+        operator=session.operator if session else None,
         recorded_at=about.get(RECORDED_AT_METADATA) or (run.started_at if run else None),
         protocol=about.get("protocol"),
         tissue=about.get("tissue") or None,
@@ -80,6 +95,19 @@ def read_recorded_grasps(path: Path) -> RecordedGrasps:
         force_scale=about.get("force_scale"),
     )
     return RecordedGrasps(context, tuple(grasps.values()), spots, truths)
+
+
+def _read_lab_session(container: McapFile) -> LabSession | None:
+    """Return the laboratory session as it was described when the run began; None without one.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    content = container.attachments.get(SESSION_ATTACHMENT)
+    try:
+        return read_stored(LabSession, content) if content else None
+    except ValueError as error:
+        raise RecordingError(f"{container.path}: its laboratory session cannot be read ({error}).") from None
 
 
 def newest(known: GraspTruth | None, other: GraspTruth) -> GraspTruth:

@@ -170,6 +170,8 @@ class Recorder:
             attachments[mcap_layout.PROTOCOL_ATTACHMENT] = known.protocol.encode()
             if known.reference:
                 attachments[mcap_layout.REFERENCE_ATTACHMENT] = known.reference.encode()
+            if known.session:
+                attachments[mcap_layout.SESSION_ATTACHMENT] = known.session.encode()
         path = self._find_unused_path(block.run)
         if path.stem != block.run:
             about["continues"] = block.run

@@ -14,6 +14,7 @@ from app.messages.runs import Run, RunState
 from app.service.annotations import Annotations
 from app.service.arming import CALIBRATION_ARM_REASON, ArmingController
 from app.service.commander import Commander
+from app.service.lab_sessions import LabSessions
 from app.service.publisher import Publisher
 from app.service.reference_grasps import ReferenceGrasps
 from app.service.runs import RunRegistry, RunUnderWayError
@@ -40,12 +41,14 @@ class RunController:
         sample_monitor: SampleMonitor,
         references: ReferenceGrasps,
         annotations: Annotations,
+        lab_sessions: LabSessions,
         state: StateReporter,
         log_context: LogContext,
     ) -> None:
         self._plan, self._publisher, self._commander, self._supervisor = plan, publisher, commander, supervisor
         self._arming, self._runs, self._sample_monitor, self._state = arming, runs, sample_monitor, state
         self._references, self._annotations, self._log_context = references, annotations, log_context
+        self._lab_sessions = lab_sessions
         self._shutting_down = False
         self._stop_count = 0
 
@@ -67,6 +70,7 @@ class RunController:
             ServiceError: the acquisition does not answer.
         """
         self._arming.check_no_fault()
+        self._lab_sessions.check_for_start(has_real_motor=self._plan.tool.has_real_motor)
         stops = self._stop_count
         is_unarmed = self._plan.tool.has_motor and self._arming.safety is not Safety.ARMED
         if is_unarmed and self._plan.settings.safety.arm_with_start:
@@ -76,12 +80,16 @@ class RunController:
         if protocol.is_reference_grasp:
             prefix, tissue = REFERENCE_ID_PREFIX, None
         # refuses every other start from here on
-        run = self._runs.begin(protocol.name, cycles, tissue, by, self._sample_monitor.last_tick, prefix)
+        session = None if self._runs.demo_text else self._lab_sessions.current
+        session_id = session.id if session else None
+        run = self._runs.begin(protocol.name, cycles, tissue, by, self._sample_monitor.last_tick, prefix, session_id)
         self._log_context.run = run.id
         reference = None if protocol.is_reference_grasp else self._references.find_valid()
         announced = RunMetadata(run.id, protocol.model_dump_json(), cycles, tissue, by)
         if reference:
             announced = replace(announced, reference=reference.model_dump_json())
+        if session:
+            announced = replace(announced, session=session.model_dump_json())
         self._publisher.announce_run(announced)
         await self._send_start(bus.StartCommand(run.id, protocol.model_dump_json(), cycles, tissue))
         self._publisher.record(run)

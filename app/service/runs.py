@@ -67,7 +67,14 @@ class RunRegistry:
         return self._entries[run_id].grasps
 
     def begin(
-        self, protocol: str, cycles: int, tissue: str | None, by: str | None, start_tick: int, prefix: str = ""
+        self,
+        protocol: str,
+        cycles: int,
+        tissue: str | None,
+        by: str | None,
+        start_tick: int,
+        prefix: str = "",
+        session: str | None = None,
     ) -> Run:
         """Register a new run and return it. Its grasps begin at `start_tick` or later; its id begins with `prefix`."""
         self._run_count += 1
@@ -83,6 +90,7 @@ class RunRegistry:
             ended_at=None,
             why=None,
             grasps=0,
+            session=session,
         )
         self._entries[run.id] = _RunEntry(run, start_tick, self._tick_epoch)
         self.current_id = run.id

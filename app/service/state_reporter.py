@@ -8,6 +8,7 @@ from app.service.annotations import Annotations
 from app.service.arming import ArmingController
 from app.service.condition_checks import ConditionChecks
 from app.service.control_lease import ControlLease
+from app.service.lab_sessions import LabSessions
 from app.service.metrics import Metrics
 from app.service.publisher import Publisher
 from app.service.recorder_link import RecorderLink
@@ -39,6 +40,7 @@ class StateReporter:
     checks: ConditionChecks
     references: ReferenceGrasps
     annotations: Annotations
+    lab_sessions: LabSessions
     metrics: Metrics
     is_replay: bool
 
@@ -66,6 +68,7 @@ class StateReporter:
             recording=self.recorder_link.state,
             reference=self.references.build_state(),
             stated=self.annotations.statement,
+            session=self.lab_sessions.current,
             free_disk_bytes=self.checks.free_disk_bytes,
             faults=self.publisher.alarms.technical_alarm_texts(),
             event_number=self.publisher.viewer_hub.newest_event_number,

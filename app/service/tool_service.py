@@ -23,6 +23,7 @@ from app.service.bus_listener import BusListener
 from app.service.commander import Commander
 from app.service.condition_checks import ConditionChecks
 from app.service.control_lease import ControlLease
+from app.service.lab_sessions import LabSessions
 from app.service.live_stream import LiveStream
 from app.service.metrics import Metrics
 from app.service.publisher import Publisher
@@ -73,6 +74,7 @@ class ToolService:
         self._sample_monitor = samples = SampleMonitor(plan.tool, self.alarms, metrics)
         rate_hz = plan.tool.board.sample_rate_hz
         self.annotations = annotations = Annotations(publisher, runs, samples, rate_hz)
+        self.lab_sessions = sessions = LabSessions(plan.settings.laboratory, publisher, store)
         self._live_stream = live = LiveStream(plan, publisher, runs, annotations, metrics, log_context)
         is_replay = bool(plan.opened_recordings)
         self.state = state = StateReporter(
@@ -88,11 +90,23 @@ class ToolService:
             checks,
             references,
             annotations,
+            sessions,
             metrics,
             is_replay,
         )
         self.run_controller = RunController(
-            plan, publisher, commander, supervisor, arming, runs, samples, references, annotations, state, log_context
+            plan,
+            publisher,
+            commander,
+            supervisor,
+            arming,
+            runs,
+            samples,
+            references,
+            annotations,
+            sessions,
+            state,
+            log_context,
         )
         self.receiver = BlockReceiver(publisher, supervisor, watchdog, arming, samples, live, state, metrics)
         self.receiver.listeners.append(references.on_block)

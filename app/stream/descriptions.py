@@ -38,6 +38,7 @@ def build_hello(plan: ServicePlan, tool: Tool, *, recording: bool = False) -> He
         holdable=_build_holdable_infos(library) if tool.kind is ToolKind.SIMULATED and not recording else [],
         lowest_threshold_n=min(library.convert_thresholds_to_displayed_n(tool).values()),
         decide_at=plan.settings.identification.decide_at,
+        lab_fields=list(plan.settings.laboratory.fields),
         warning_shares=[shares.low, shares.medium, shares.high],
         channels=build_channels(list(library.tissues)),
         frame_rate_hz=plan.settings.server.frame_rate_hz,

@@ -51,6 +51,7 @@ export const hello = (values: Partial<Hello> = {}): Hello => ({
     channel("probability_unknown"),
   ],
   frame_rate_hz: 30,
+  lab_fields: [],
   resumed: null,
   ...values,
 });
@@ -72,6 +73,7 @@ export const state = (values: Partial<State> = {}): State => ({
   estimator_latency_ms: null,
   viewers: 1,
   recording: { enabled: false, file: null, samples: 0, missing_blocks: 0, problem: null },
+  session: null,
   stated: { held: null, remark: null, by: null },
   reference: { taken_at: null, stall_v: null, declined: false, wanted: false, problem: null },
   free_disk_bytes: null,

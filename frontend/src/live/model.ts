@@ -122,6 +122,8 @@ export class Model {
         return this.onTruth(message);
       case "mark":
         return this.onMark(message);
+      case "lab_session":
+        return; // the state has the one under way
       case "alarm":
         if (message.active || message.latched) this.alarms.set(message.id, message);
         else this.alarms.delete(message.id);

@@ -7,6 +7,9 @@ import type {
   ControlRequest,
   DeclineRequest,
   GraspTruth,
+  LabSession,
+  LabSessionChange,
+  LabSessionRequest,
   Mark,
   MarkRequest,
   Priority,
@@ -100,6 +103,14 @@ export const deleteMark = (mark: Mark, by: string | null): Promise<Mark> => {
   const asked = new URLSearchParams({ version: String(mark.version), ...(by === null ? {} : { by }) });
   return fetchJson("DELETE", `/api/marks/${encodeURIComponent(mark.id)}?${asked}`, TIMEOUT_MS);
 };
+
+export const beginLabSession = (request: LabSessionRequest): Promise<LabSession> => postJson("/api/lab-sessions", request);
+
+export const changeLabSession = (id: string, request: LabSessionChange): Promise<LabSession> =>
+  fetchJson("PUT", `/api/lab-sessions/${encodeURIComponent(id)}`, TIMEOUT_MS, request);
+
+export const endLabSession = (by: string | null): Promise<LabSession> =>
+  fetchJson("DELETE", `/api/lab-sessions/current${by === null ? "" : `?by=${encodeURIComponent(by)}`}`, TIMEOUT_MS);
 
 export const acknowledgeAlarm = (id: string, priority: Priority, by: string): Promise<Alarm> => {
   const request: AcknowledgeRequest = { by, priority };

@@ -6,7 +6,7 @@ import { day, moment, Rows, timeOfDay, type Row } from "./rows";
 const EVERY_MS = 5000;
 const CHECKED_EVERY_MS = 30_000;
 const MAX_ENTRIES = 200;
-const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged", deleted: "Deleted", restored: "Restored", emptied: "Removed", request: "Request", chain: "Chain", access: "Access", truth: "Truth", mark: "Mark" };
+const KIND: Record<JournalKind, string> = { event: "Event", run: "Run", alarm: "Alarm", acknowledged: "Acknowledged", deleted: "Deleted", restored: "Restored", emptied: "Removed", request: "Request", chain: "Chain", access: "Access", truth: "Truth", mark: "Mark", session: "Session" };
 
 type Choice = JournalKind | "all";
 

@@ -3,6 +3,7 @@ import { CorrectionForm } from "../cards/correction";
 import { CriteriaTable } from "../cards/criteria";
 import { ForceCard } from "../cards/force";
 import { GraspsTable } from "../cards/grasps";
+import { LabSessionLine } from "../cards/lab-session";
 import { ProtocolPanel } from "../cards/protocol";
 import { StressCard } from "../cards/stress";
 import { TissueCard } from "../cards/tissue";
@@ -30,6 +31,7 @@ export class WatchPage implements Page {
   private readonly grasps: GraspsTable;
   private readonly protocol: ProtocolPanel;
   private readonly truth: TruthCard;
+  private readonly labSession: LabSessionLine;
   private readonly ages: AgeLabels;
 
   constructor(
@@ -49,6 +51,7 @@ export class WatchPage implements Page {
     this.criteria = new CriteriaTable(root, model);
     this.grasps = new GraspsTable(root, model, new CorrectionForm(root, model, person));
     this.truth = new TruthCard(root, model, person);
+    this.labSession = new LabSessionLine(root, model, person);
     this.protocol = new ProtocolPanel(root, model, person);
     if (!model.isReplay) void this.protocol.load();
   }
@@ -65,6 +68,7 @@ export class WatchPage implements Page {
     this.force.render();
     this.protocol.render();
     this.truth.render();
+    this.labSession.render();
     this.grasps.render();
     this.criteria.render();
     this.stress.render(nowMs);

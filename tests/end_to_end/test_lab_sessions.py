@@ -1,0 +1,91 @@
+"""Laboratory sessions: begun, changed and ended; runs belong to them; they outlive a restart and a rebuild."""
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from service import PROGRAM, Listener, Service, until
+
+from acquisition.recordings.mcap_layout import SESSION_ATTACHMENT
+from acquisition.recordings.mcap_reader import McapFile
+from app.messages.lab_sessions import LabSession
+from app.messages.stored import read_stored
+from config.load import CONFIG_DIR
+
+PATH = "/api/lab-sessions"
+PIG: dict[str, Any] = {"subject": "P-12", "species": "pig", "condition": "in vivo", "operator": "Ada", "by": "Ada"}
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    settings = (CONFIG_DIR / "graspwatch.toml").read_text()
+    assert "fields = [] " in settings
+    config: Path = tmp_path_factory.mktemp("settings") / "laboratory.toml"
+    config.write_text(settings.replace("fields = [] ", 'fields = ["cage"] '))
+    with Service("serve", "--tissue", "liver", "--config", str(config)) as running:
+        yield running
+
+
+def state(service: Service) -> dict[str, Any]:
+    with Listener(service) as viewer:
+        viewer.listen(lambda: viewer.of("state"))
+        return viewer.of("state")[-1]
+
+
+def test_runs_belong_to_the_session_under_way(service: Service) -> None:
+    assert state(service)["session"] is None
+    alone = service.finished(service.run(protocol="trapezoid_4hz", cycles=1)["id"])
+    assert alone["session"] is None
+
+    begun = service.http.post(PATH, json={**PIG, "fields": {"cage": "7"}})
+    assert begun.status_code == 201, begun.text
+    session = begun.json()
+    assert state(service)["session"] == session
+    run = service.finished(service.run(protocol="trapezoid_4hz", cycles=1)["id"])
+    assert run["session"] == session["id"]
+    found = service.http.get("/api/runs", params={"session": session["id"]}).json()
+    assert [each["id"] for each in found] == [run["id"]]
+    content = McapFile(service.recorded(run["id"])).attachments[SESSION_ATTACHMENT]
+    assert read_stored(LabSession, content).model_dump(mode="json") == session
+
+    other = service.http.post(PATH, json={**PIG, "subject": "P-13"}).json()  # ends the one before
+    listed = service.http.get(PATH).json()
+    assert [(each["subject"], each["ended_at"] is None) for each in listed] == [("P-13", True), ("P-12", False)]
+    assert service.http.delete(f"{PATH}/current").json()["id"] == other["id"]
+    assert service.http.delete(f"{PATH}/current").status_code == 404
+    assert state(service)["session"] is None
+
+
+def test_a_change_has_a_version_and_a_name_is_no_code(service: Service) -> None:
+    session = service.http.post(PATH, json=PIG).json()
+
+    def change(**values: Any) -> tuple[int, dict[str, Any]]:
+        answer = service.http.put(f"{PATH}/{session['id']}", json={**PIG, **values})
+        return answer.status_code, answer.json()
+
+    status, changed = change(version=1, condition="ex vivo", by="Grace")
+    assert (status, changed["version"], changed["condition"], changed["by"]) == (200, 2, "ex vivo", "Grace")
+    status, problem = change(version=1, condition="in situ")
+    assert (status, "Grace has changed this session meanwhile" in problem["detail"]) == (409, True)
+    status, problem = change(version=2, subject="Rosa the pig")
+    assert (status, "is no code of a subject" in problem["detail"]) == (422, True)
+    status, problem = change(version=2, fields={"shelf": "1"})
+    assert (status, "the settings know cage" in problem["detail"]) == (422, True)
+    assert change(version=2, condition="dreamt")[0] == 422
+    assert service.http.put(f"{PATH}/none", json={**PIG, "version": 1}).status_code == 404
+    lines = service.http.get("/api/audit", params={"kind": "session", "limit": 2}).json()
+    assert [line["lab_session"]["version"] for line in lines] == [2, 1]
+
+
+def test_a_session_goes_on_after_a_restart_and_a_rebuild_of_the_index() -> None:
+    with Service("serve", "--tissue", "liver") as first:
+        session = first.http.post(PATH, json=PIG).json()
+        until(lambda: first.http.get(PATH).json())
+        first.end()
+        subprocess.run([PROGRAM, "index", "--rebuild", "--data", first.data], check=True, capture_output=True)
+        with Service("serve", data=first.data) as again:
+            assert state(again)["session"]["id"] == session["id"]
+            run = again.run(protocol="trapezoid_4hz", cycles=1)
+            assert run["session"] == session["id"]
