@@ -196,8 +196,8 @@ class Recorder:
     def _buffer_block(self, block: SampleBlock) -> None:
         """Keep the last seconds for the next file."""
         self._recent_blocks.append(block)
-        oldest = int(block.samples["tick"][-1]) - self._before_samples
-        while self._recent_blocks and int(self._recent_blocks[0].samples["tick"][0]) <= oldest:
+        oldest = int(block.samples["tick"][-1]) - self._before_samples  # the last one that is not needed
+        while self._recent_blocks and int(self._recent_blocks[0].samples["tick"][-1]) <= oldest:
             self._recent_blocks.popleft()
         first = self._recent_blocks[0].sequence if self._recent_blocks else block.sequence + 1
         while self._recent_estimates and self._recent_estimates[0].sequence < first:

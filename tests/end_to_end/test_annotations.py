@@ -66,7 +66,7 @@ def test_a_grasp_that_stop_interrupts_keeps_its_statement(service: Service) -> N
         state(service, held="gallbladder")
         viewer.listen(lambda: any(m["in_contact"] for m in viewer.of("identification")))
         service.http.post("/api/stop")
-        viewer.listen(lambda: viewer.of("truth"))
+        viewer.listen(lambda: any(truth["run_id"] == run["id"] for truth in viewer.of("truth")))
     assert truths(service, run["id"]) == [(1, "gallbladder", None, 1)]
 
 
@@ -105,7 +105,7 @@ def test_a_mark_lies_at_the_sample_that_the_person_saw(service: Service) -> None
     assert service.http.post("/api/marks", json={"text": "too early"}).status_code == 409
     with Listener(service) as viewer:
         run = service.run(protocol="trapezoid_2hz", cycles=3)
-        viewer.listen(lambda: viewer.of("grasp"))
+        viewer.listen(lambda: viewer.frames and any(each["run_id"] == run["id"] for each in viewer.of("grasp")))
         header, columns = viewer.frames[-1]
         seen = header[6] + columns.shape[1] - 1
         mark = service.http.post("/api/marks", json={"text": "smoke", "tick": seen, "by": "Ada"}).json()

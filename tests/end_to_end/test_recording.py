@@ -46,7 +46,7 @@ def test_a_run_is_recorded_from_before_its_beginning_and_replays_bit_for_bit(ser
     kept = read_run(path)
     ticks, begins = kept.samples["tick"], int(kept.metadata["run_first_tick"])
     assert (np.diff(ticks) == 1).all()
-    assert begins - ticks[0] == 5_000
+    assert 5_000 <= begins - ticks[0] < 5_020  # whole blocks, which are of 20 samples while nothing moves
     assert (kept.estimates["tick"] == ticks).all()
     assert np.isfinite(kept.estimates["alpha_n"]).any()
     assert [grasp.model_dump(mode="json") for grasp in kept.grasps] == told

@@ -28,6 +28,10 @@ HAS_DRIVER = any(ctypes.util.find_library(name) for name in ("nidaqmx", "nicaiu"
 
 DOCUMENT_KEYS = {"source", "samples", "lost_samples", "duration_s", "library", "force_scale", "grasps", "spots"}
 GRASP_KEYS = {
+    "dose_n_s",
+    "time_above_s",
+    "log_sd",
+    "nis",
     "index",
     "start_s",
     "contact_s",

@@ -164,7 +164,16 @@ def test_the_status_says_what_the_index_lacks_and_changes_nothing(url: URL, tmp_
     rebuild(url, tmp_path, READERS, nothing)
     found = read_status(url, tmp_path, READERS)
     assert (found.behind, found.revision) == ([], found.newest_revision)
-    assert found.counts == {"runs": 1, "grasps": 0, "alarms": 0, "audit": 1, "files": 1}
+    assert found.counts == {
+        "runs": 1,
+        "grasps": 0,
+        "truths": 0,
+        "marks": 0,
+        "lab_sessions": 0,
+        "alarms": 0,
+        "audit": 1,
+        "files": 1,
+    }
     assert "secret" not in found.where
     write_recording(tmp_path, record(2), [run(2)])
     with (tmp_path / "journal.jsonl").open("a") as file:
