@@ -46,6 +46,7 @@ export class CorrectionForm {
     setHidden(find(this.root, "correction-why-field"), before === undefined);
     this.showMessage("");
     setHidden(this.form, false);
+    this.form.scrollIntoView({ block: "nearest" });
     this.held.focus();
   }
 

@@ -56,7 +56,7 @@ export class ForceCard {
     if (!dose) return "";
     const { value, low, high } = hello.tool.force_scale;
     const interval = low < high ? ` (${fixed((dose * low) / value, 0, "to")} ${fixed((dose * high) / value, 0, "N s")})` : "";
-    return `On this spot ${fixed(dose, 1, "N s")}${interval}`;
+    return `${fixed(dose, 1, "N s")}${interval} on this spot`;
   }
 
   private thresholdOwner(tissue: string | null): string {
