@@ -7,7 +7,7 @@ from fastapi import APIRouter, Body, Query, Request
 
 from app.api.dependencies import ToolServiceDep
 from app.api.routes.configuration import RequesterQuery
-from app.api.routes.runs import RUN_NOT_FOUND_RESPONSE, check_has_tool, get_run, list_run_grasps
+from app.api.routes.runs import RUN_NOT_FOUND_RESPONSE, check_has_tool, list_run_grasps
 from app.http.audit_middleware import note_request
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.messages.annotations import (
@@ -51,10 +51,9 @@ async def state_truth(
     return tool_service.annotations.statement
 
 
-@router.get("/runs/{run_id}/truth", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
+@router.get("/runs/{run_id}/truth", dependencies=[require_role(Role.VIEWER)])
 async def list_run_truths(tool_service: ToolServiceDep, run_id: str) -> list[GraspTruth]:
-    """List the stated ground truth of a run's grasps, in order, each in its newest version."""
-    await get_run(tool_service, run_id)
+    """List the stated ground truth of a run's grasps, in order, each in its newest version; none of an unknown run."""
     return await tool_service.annotations.list_truths(run_id)
 
 
@@ -93,10 +92,9 @@ async def add_mark(request: Request, tool_service: ToolServiceDep, body: Annotat
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "tick") from None
 
 
-@router.get("/runs/{run_id}/marks", dependencies=[require_role(Role.VIEWER)], responses=RUN_NOT_FOUND_RESPONSE)
+@router.get("/runs/{run_id}/marks", dependencies=[require_role(Role.VIEWER)])
 async def list_run_marks(tool_service: ToolServiceDep, run_id: str) -> list[Mark]:
-    """List the marks of a run by their time."""
-    await get_run(tool_service, run_id)
+    """List the marks of a run by their time; none of an unknown run."""
     return await tool_service.annotations.list_marks(run_id)
 
 
