@@ -25,6 +25,7 @@ from app.messages.annotations import (
 from app.messages.calibration import Calibration
 from app.messages.grasps import Grasp, Identification
 from app.messages.journal import JournalEntry
+from app.messages.lab_sessions import LabSession, LabSessionRequest, SpecimenCondition
 from app.messages.people import ControlInfo, ControlRequest, SessionInfo
 from app.messages.recordings import Recordings
 from app.messages.runs import Run, RunRequest, RunState, SpotRequest, StopAnswer, StopRequest
@@ -145,6 +146,23 @@ class Graspwatch:
     async def begin_spot(self) -> Run:
         """Begin a new spot in the run under way: the next grasp is on another place. Refused without a run."""
         return await self._rest_client.ask(Run, "POST", "/api/spots", SpotRequest(by=self._by))
+
+    async def begin_session(self, subject: str, condition: SpecimenCondition | str, **facts: Any) -> LabSession:
+        """Begin a laboratory session, to which runs belong from now on; the one before ends.
+
+        `subject` is a code, never a name. `facts` are further fields of `LabSessionRequest`, such as `species`.
+        """
+        wanted = LabSessionRequest(subject=subject, condition=SpecimenCondition(condition), by=self._by, **facts)
+        return await self._rest_client.ask(LabSession, "POST", "/api/lab-sessions", wanted)
+
+    async def end_session(self) -> LabSession:
+        """End the laboratory session under way. Refused if there is none."""
+        by = {"by": self._by} if self._by else {}
+        return await self._rest_client.ask(LabSession, "DELETE", "/api/lab-sessions/current", params=by)
+
+    async def sessions(self, **question: Any) -> list[LabSession]:
+        """Return laboratory sessions, newest first; `question` as in `GET /api/lab-sessions`."""
+        return await self._rest_client.ask(list[LabSession], "GET", "/api/lab-sessions", params=question)
 
     async def state_truth(self, held: str | None, *, remark: GraspRemark | None = None) -> TruthStatement:
         """State what the jaws hold, for the grasp under way or the next one; `remark` is for that grasp alone."""

@@ -56,6 +56,27 @@ def test_a_program_starts_a_run_watches_it_and_reads_its_grasps(service: Service
     assert "bladder" in labels
 
 
+def test_a_program_says_whom_it_examines_what_it_holds_and_what_happens(service: Service) -> None:
+    async def program() -> None:
+        async with Graspwatch(service.url, by="Ada") as tool:
+            session = await tool.begin_session("P-12", "ex vivo", species="pig")
+            assert (await tool.state_truth("spleen")).held == "spleen"
+            started = await tool.start("trapezoid_4hz", cycles=2, tissue="liver")
+            mark = await tool.mark("irrigation on")
+            ended = await tool.finished(started, timeout_s=30)
+            assert (ended.session, mark.run_id) == (session.id, ended.id)
+            while len(stated := await tool.truth(ended)) < 2:
+                await asyncio.sleep(0.05)
+            assert [(each.grasp, each.held, each.by) for each in stated] == [(1, "spleen", "Ada"), (2, "spleen", "Ada")]
+            corrected = await tool.correct_truth(ended, 2, "liver", version=1, why="seen on the video")
+            assert (corrected.held, corrected.version) == ("liver", 2)
+            assert [each.text for each in await tool.marks(ended)] == ["irrigation on"]
+            assert (await tool.end_session()).ended_at
+            assert [each.subject for each in await tool.sessions(subject="P-12")] == ["P-12"]
+
+    run(program())
+
+
 def test_every_sample_arrives_and_a_channel_is_found_by_name_and_tissue(service: Service) -> None:
     async def program() -> tuple[Hello, list[Frame]]:
         frames: list[Frame] = []
