@@ -117,14 +117,20 @@ class ToolDraft:
         """Return the text of the tool file; `source` names the recording.
 
         Raises:
-            ConfigurationError: a value is not plausible; the text names it.
+            ConfigurationError: a value is not plausible; the text names it and the columns that it comes from.
         """
         document = tomlkit.document()
         document.add(tomlkit.comment(f"Made by `graspwatch tool new` from {source}. Correct what is called assumed."))
         for key, value in self._build_content(today).items():
             document.add(key, tomlkit.item(value))
         text = tomlkit.dumps(document)
-        parse_file(text, Tool, f"{self.name}.toml")
+        try:
+            parse_file(text, Tool, f"{self.name}.toml")
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f"Column {self.force.number} as the force and column {self.position.number} as the position make no "
+                f"plausible tool. Choose other columns, or correct the newtons or millimetres of a unit. {error}"
+            ) from None
         return text
 
     def _build_content(self, today: date) -> dict[str, Any]:

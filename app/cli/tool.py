@@ -131,7 +131,10 @@ def _show_first_grasps(
     from app.analysis.tool_draft import SHOWN_GRASPS, summarize_grasps
 
     grasps = summarize_grasps(recording, own, conditioning)
-    table = Table("Grasp", "Start", "Lasts", "Peak force", "Jaw travel", "Contact", title=f"{len(grasps)} grasps found")
+    title = f"{len(grasps)} grasps found" + (
+        f", the first {SHOWN_GRASPS} of them" if len(grasps) > SHOWN_GRASPS else ""
+    )
+    table = Table("Grasp", "Start", "Lasts", "Peak force", "Jaw travel", "Contact", title=title)
     for each in grasps[:SHOWN_GRASPS]:
         table.add_row(
             str(each.number),

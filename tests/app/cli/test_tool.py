@@ -91,6 +91,11 @@ def test_what_is_not_known_is_assumed_and_told(recording: Path, tmp_path: Path) 
         (("--force", 9, "--position", 3), 2, "column 9 holds no numbers"),
         (("--force", 5, "--position", 3), 2, "column 5 does not change"),
         (("--force", 3, "--position", 3), 2, "force and position are the same column"),
+        (
+            ("--force", 4, "--position", 3, "--millimetre", 1e6),
+            2,
+            "Column 4 as the force and column 3 as the position make no plausible tool. Choose other columns",
+        ),
     ],
 )
 def test_what_cannot_be_is_one_message(recording: Path, tmp_path: Path, words, code: int, expected: str) -> None:
