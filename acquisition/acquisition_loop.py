@@ -89,6 +89,7 @@ class AcquisitionController:
         rate_hz = tool.board.sample_rate_hz
         self._prompt_backlog, self._max_backlog = round(PROMPT_READ_S * rate_hz), round(MAX_BACKLOG_S * rate_hz)
         self._command_history = CommandHistory()
+        self.last_tick = -1  # of the last sample that was processed
         self._backlog_samples = 0  # samples that the reader still has to catch up
         self._max_mismatched_samples = round(MAX_READBACK_MISMATCH_S * rate_hz)
         self._mismatched_samples = 0  # consecutive samples whose command was read back wrong
@@ -221,6 +222,7 @@ class AcquisitionController:
         if self._spot_requested:
             block.samples["flags"][0] |= NEW_SPOT
             self._spot_requested = False
+        self.last_tick = raw.first_tick + len(raw) - 1
         caught_up = self._count_caught_up(raw.backlog)
         self._self_test.append(block.samples)
         tare = self._pipeline.tare

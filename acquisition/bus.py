@@ -266,10 +266,14 @@ def unpack_command(message: bytes) -> AnyCommand | None:
 
 @dataclass(frozen=True, slots=True)
 class CommandReply:
-    """Answer to a command: `refused` is the reason or None; `effect` says whether the command changed anything."""
+    """Answer to a command: `refused` is the reason or None; `effect` says whether the command changed anything.
+
+    `tick` is that of the last sample before it: blocks up to there show the safety state before the command.
+    """
 
     refused: str | None = None
     effect: bool = True
+    tick: int = -1
 
 
 def pack_reply(answer: CommandReply) -> bytes:

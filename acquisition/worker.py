@@ -40,9 +40,9 @@ REALTIME_PRIORITY = 80
 POLL_INTERVAL_MS = 100
 PRIORITY_RENEWAL_INTERVAL_S = 1.0
 STALL_THRESHOLD_S = 0.5
+"""A turn takes 5 or 20 ms, or 30 ms if samples fail to come; a longer turn means that this process was held up."""
 ERROR_AFTER_DELAY_S = 1.0
 """An error of the board this soon after a delay is taken for a consequence of the delay."""
-"""A turn takes 5 or 20 ms, or 30 ms if samples fail to come; a longer turn means that this process was held up."""
 REST_BLOCK_S = 0.02
 """Duration of a block while nothing moves. Most of the work is for the block, whatever its length."""
 MAX_COMMANDS_PER_BLOCK = 20  # bounds the delay of a stop behind other commands
@@ -126,7 +126,7 @@ def _run_acquisition(
                     _fill_jaws(grasper, command)
                 if isinstance(command, bus.SimulatedPullAndGaugeCommand) and grasper:
                     grasper.handle_pull_n, grasper.gauge_m = command.pull_n, command.gauge_m
-                commands.send(bus.pack_reply(answer))
+                commands.send(bus.pack_reply(replace(answer, tick=acquisition.last_tick)))
             if (why := server.check(time.monotonic())) and acquisition.running and setup.tool.has_motor:
                 acquisition.fail(why)
             source.set_block_samples(rest_samples if acquisition.at_rest else setup.tool.board.block_samples)
@@ -135,7 +135,7 @@ def _run_acquisition(
 
 
 def compute_rest_samples(tool: Tool) -> int:
-    """Return the samples of a block while nothing moves: whole blocks of a run, which never are longer."""
+    """Return the samples of a block while nothing moves: a multiple of a run's block size."""
     board = tool.board
     return board.block_samples * max(int(REST_BLOCK_S * board.sample_rate_hz / board.block_samples), 1)
 

@@ -95,7 +95,7 @@ def _select(rows: Sequence[Row]) -> tuple[list[JudgedGrasp], dict[str, int]]:
     kept: list[JudgedGrasp] = []
     left_out: dict[str, int] = {}
     for row in rows:
-        truth = row["truth"] or row["tissue"]
+        truth: str = row["truth"] or (row["tissue"] if row["truth_version"] is None else None) or ""
         why = None
         if row["truth_remark"]:
             why = f"of which a person says: {row['truth_remark']}"
@@ -178,7 +178,7 @@ def _build_review_queue(name: str, grasps: list[JudgedGrasp]) -> Table:
 def _plot_reliability(judged: Mapping[str, list[JudgedGrasp]]) -> go.Figure:
     figure = go.Figure()
     line = {"color": TISSUE_COLORS["unknown"], "dash": "dot"}
-    figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", line=line, name="honest")
+    figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", line=line, name="perfect calibration")
     for (name, grasps), color in zip(judged.items(), PALETTE, strict=False):
         confidence = np.array([each.probabilities[each.likeliest] for each in grasps])
         right = np.array([each.likeliest == each.right_answer for each in grasps])

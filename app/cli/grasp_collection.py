@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from acquisition.recordings.file_names import DEMO_ID_PREFIX
 from app.cli.label_option import parse_labels_of
 from app.cli.options import ProgressBar, find_data_folder
 from config.errors import ConfigurationError, RecordingError
@@ -39,7 +40,7 @@ class GraspsJob:
 def find_files(
     recordings: list[Path] | None, labels: list[str] | None, *, everything: bool, data: Path | None, settings: Settings
 ) -> tuple[list[Path], dict[Path, str]]:
-    """Return the named recordings, with `everything` also those of the data folder, and the label of each that has one.
+    """Return the named recordings, with `everything` also the runs of the data folder, and the labels, by recording.
 
     Raises:
         ConfigurationError: none is named, or a label is not valid.
@@ -50,7 +51,10 @@ def find_files(
     files += [path for path in labeled if path not in files]
     if everything:
         folder = find_data_folder(data, settings) / "recordings"
-        files += sorted(path for path in folder.glob("*.mcap") if path not in files)
+        named = {path.resolve() for path in files}
+        found = (path for path in folder.glob("*.mcap") if not path.name.startswith(DEMO_ID_PREFIX))
+        files += sorted(path for path in found if path.resolve() not in named)
+    files = list({path.resolve(): path for path in files}.values())
     if not files:
         raise ConfigurationError("Name recordings, or take all of the data folder with --all.")
     for path in files:
@@ -62,14 +66,17 @@ def find_files(
 def read_corrected_truths(files: list[Path], data: Path, settings: Settings) -> dict[Path, "dict[int, GraspTruth]"]:
     """Return what people said of recordings in the data folder, which may have been corrected since."""
     from app.index.database import index_url_from_settings
-    from app.index.store import Store  # slow imports
+    from app.index.opening import ingest_journal_tail
+    from app.index.store import Store
+    from app.recordings.grasp_rows import read_run_id  # slow imports
 
     folder = data / "recordings"
     own = [path for path in files if path.resolve().parent == folder.resolve()]
     if not own:
         return {}
     with contextlib.closing(Store(index_url_from_settings(settings, data))) as store:
-        return {path: {each.grasp: each for each in store.list_run_truths(path.stem)} for path in own}
+        ingest_journal_tail(store, data / "journal.jsonl")
+        return {path: {each.grasp: each for each in store.list_run_truths(read_run_id(path))} for path in own}
 
 
 def collect(
@@ -114,4 +121,4 @@ def collect_rows(job: GraspsJob) -> list["Row"]:
     for grasp, truth in job.corrected.items():
         truths[grasp] = newest(truths.get(grasp), truth)
     rows = build_grasp_rows(context, found, spots, truths)
-    return [row | {"truth": row["truth"] or job.label} for row in rows]
+    return [row | {"truth": job.label} if job.label and row["truth_version"] is None else row for row in rows]

@@ -19,6 +19,7 @@ from app.cli.options import (
     explain_write_errors,
     locate_data_folder,
 )
+from config.atomic_write import check_writable
 from config.errors import ConfigurationError, RecordingError
 from config.load import load_library, load_settings, load_tool
 
@@ -83,6 +84,9 @@ def grasps(
         raise ConfigurationError(f"{out}: the name must end with .parquet or .csv.")
     if out and out.exists():
         raise ConfigurationError(f"{out}: exists already, and is kept. Name another file with --out.")
+    if out:
+        with explain_write_errors(out):
+            check_writable(out.parent)
     files, labels = find_files(recordings, label, everything=everything, data=data, settings=settings)
     named = load_library(library, own) if library else None
     log_tool, default = load_tool(tool or DEFAULT_RECORDING_TOOL, own), named or load_library(settings.library, own)

@@ -2,6 +2,7 @@
 
 import contextlib
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -35,19 +36,22 @@ def label(
     """
     settings = load_settings(config)
     folder = find_data_folder(data, settings)
+    if held is None and remark is None and why is None:
+        raise ConfigurationError("Say what was held with --held or --remark; to take a statement back, say --why.")
     tissue = normalize_tissue_name(held, "--held") if held else None
     path = folder / "recordings" / f"{run.removesuffix('.mcap')}.mcap"
-    if not path.is_file():
+    if Path(run).name != run or not path.is_file():
         raise RecordingError(f"There is no recording {run!r} in {path.parent}. `graspwatch import` takes others in.")
 
     from app.audit.journal import Journal
-    from app.index.database import index_url_from_settings
-    from app.index.opening import ingest_if_missing
+    from app.index.database import explain_database_errors, index_url_from_settings
+    from app.index.opening import ingest_if_missing, ingest_journal_tail
     from app.index.store import Store
     from app.recordings.grasp_rows import read_recorded_grasps
     from app.recordings.index_reader import RECORDING_READERS  # slow imports, made after the options are checked
 
     recorded = read_recorded_grasps(path)
+    run_id = recorded.context.run_id or path.stem
     known = [each.index for each in recorded.grasps]
     chosen = sorted(set(grasp)) if grasp else known
     if missing := sorted(set(chosen) - set(known)):
@@ -56,26 +60,30 @@ def label(
         raise RecordingError(f"{path.name} has no grasp.")
     lines: list[JournalEntry] = []
     with contextlib.closing(Store(index_url_from_settings(settings, folder))) as store:
+        ingest_journal_tail(store, folder / "journal.jsonl")
         ingest_if_missing(store, path, RECORDING_READERS)
-        before = {each.grasp: each for each in store.list_run_truths(path.stem)}
+        before = {each.grasp: each for each in store.list_run_truths(run_id)}
         changed = [each for each in chosen if each in before]
         if changed and not why:
             raise ConfigurationError(f"Grasp {changed[0]} has a statement already. Say with --why why it is changed.")
         journal = Journal(folder, _refuse, lines.append)
         by, at = computer_user_name(), datetime.now(UTC).isoformat(timespec="milliseconds")
-        for index in chosen:
-            truth = GraspTruth(
-                run_id=path.stem,
-                grasp=index,
-                held=tissue,
-                remark=remark,
-                version=before[index].version + 1 if index in before else 1,
-                by=by,
-                at=at,
-                why=why if index in before else None,
-            )
-            journal.write(JournalKind.TRUTH, truth.describe(), by=by, truth=truth)
-        store.ingest_all((line, None) for line in lines)
+        try:
+            for index in chosen:
+                truth = GraspTruth(
+                    run_id=run_id,
+                    grasp=index,
+                    held=tissue,
+                    remark=remark,
+                    version=before[index].version + 1 if index in before else 1,
+                    by=by,
+                    at=at,
+                    why=why if index in before else None,
+                )
+                journal.write(JournalKind.TRUTH, truth.describe(), by=by, truth=truth)
+        finally:  # what is in the journal has to be in the index, too
+            with explain_database_errors(store.url):
+                store.ingest_all((line, None) for line in lines)
     print(f"{path.name}: {len(chosen)} of {len(known)} grasps labeled")
     if tissue is None and remark is None:
         print_note("Nothing is stated of them now: --held names what was held.")

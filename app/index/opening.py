@@ -32,7 +32,7 @@ def open_store_for_service(url: URL, data: Path, readers: tuple[RecordingReader,
     """
     store = Store(url)
     try:
-        _ingest_journal_tail(store, data / "journal.jsonl")
+        ingest_journal_tail(store, data / "journal.jsonl")
         if store.had_no_other_user:  # otherwise another service may be writing them
             _ingest_missing_recordings(store, data, readers)
     except BaseException:
@@ -41,7 +41,7 @@ def open_store_for_service(url: URL, data: Path, readers: tuple[RecordingReader,
     return store
 
 
-def _ingest_journal_tail(store: Store, journal: Path) -> None:
+def ingest_journal_tail(store: Store, journal: Path) -> None:
     """Ingest the last journal lines that the index lacks, because it could not be written at their time."""
     try:
         with journal.open("rb") as file:

@@ -132,12 +132,16 @@ class Store:
 
     def list_run_truths(self, run_id: str) -> list[GraspTruth]:
         """Return the stated ground truth of a run's grasps, in order."""
+        if "\0" in run_id:
+            return []  # no name has a NUL, and PostgreSQL refuses it in a query
         with explain_database_errors(self.url), Session(self._engine) as session:
             rows = session.scalars(select(TruthRow).where(TruthRow.run_id == run_id).order_by(TruthRow.grasp))
             return [read_stored(GraspTruth, row.message) for row in rows]
 
     def list_run_marks(self, run_id: str) -> list[Mark]:
         """Return the marks of a run by their time, without deleted ones."""
+        if "\0" in run_id:
+            return []
         query = select(MarkRow).where(MarkRow.run_id == run_id, MarkRow.deleted.is_(False))
         with explain_database_errors(self.url), Session(self._engine) as session:
             return [read_stored(Mark, row.message) for row in session.scalars(query.order_by(MarkRow.at_s, MarkRow.id))]

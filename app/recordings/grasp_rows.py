@@ -110,6 +110,15 @@ def _read_lab_session(container: McapFile) -> LabSession | None:
         raise RecordingError(f"{container.path}: its laboratory session cannot be read ({error}).") from None
 
 
+def read_run_id(path: Path) -> str:
+    """Return the id of the run that a recording is of; its file may have another name.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    return McapFile(path).metadata.get("run_id", path.stem)
+
+
 def newest(known: GraspTruth | None, other: GraspTruth) -> GraspTruth:
     """Return the one of two statements about a grasp that counts."""
     return other if known is None or other.version >= known.version else known

@@ -35,7 +35,7 @@ class Annotations:
         self._sample_rate_hz = sample_rate_hz
         self._entries: list[_Entry] = []
         self._last_end_tick = -1  # of a grasp
-        self._marks_of_run = 0
+        self._marked: tuple[str, int] = "", 0  # run and number of the last mark
         self._last_run_id: str | None = None
         self._of_last_run: dict[str | int, GraspTruth | Mark] = {}  # by grasp and by mark
         self._changing = asyncio.Lock()  # a change is judged by the version before, which the index tells
@@ -71,6 +71,7 @@ class Annotations:
         start, end = round(grasp.start_s * self._sample_rate_hz), round(grasp.end_s * self._sample_rate_hz)
         stated = self._find_statement(start, end)
         self._last_end_tick = end
+        self._drop_used_entries(end)
         if run_id and (stated.held or stated.remark):
             self._publish_truth(
                 GraspTruth(
@@ -84,6 +85,11 @@ class Annotations:
                     why=None,
                 )
             )
+
+    def _drop_used_entries(self, end_tick: int) -> None:
+        """Drop what no later grasp needs: everything before the last entry up to the end of this one."""
+        before = [i for i, entry in enumerate(self._entries) if entry.tick <= end_tick]
+        del self._entries[: max(len(before) - 1, 0)]
 
     def _find_statement(self, start_tick: int, end_tick: int) -> TruthStatement:
         """Return the last statement before the end of a grasp, but none of a spot or run that began during it."""
@@ -153,10 +159,11 @@ class Annotations:
         tick = newest if wanted.tick is None else wanted.tick
         if not self._runs.get_start_tick(run.id) <= tick <= newest:
             raise ConfigurationError(f"The run has no sample {tick}. Leave `tick` out to mark the newest one.")
-        self._marks_of_run = self._marks_of_run + 1 if self._last_run_id == run.id else 1
+        before, number = self._marked
+        self._marked = run.id, number + 1 if before == run.id else 1
         at_ms = self._sample_monitor.compute_time_ms(tick)
         mark = Mark(
-            id=f"{run.id}-mark{self._marks_of_run}",
+            id=f"{run.id}-mark{self._marked[1]}",
             run_id=run.id,
             at_s=tick / self._sample_rate_hz,
             at_ms=at_ms,

@@ -1,6 +1,7 @@
 """The class ArmingController: arms and disarms the tool; faults stay latched until a person acknowledges them."""
 
 import asyncio
+import math
 from collections.abc import Callable
 
 from acquisition import bus
@@ -36,11 +37,15 @@ class ArmingController:
         self._commander, self._alarms, self._supervisor = commander, alarms, supervisor
         self._publish_event = publish_event
         self._safety_changed = asyncio.Event()
+        self._block_arrived = asyncio.Event()
+        self._last_tick = -1.0  # of the last block; infinite after a death, which ends the wait for one
         self.safety, self.why = Safety.DISARMED, ""
         self.unmeasured_scale_reason = ""  # why the tool was armed without a measured force scale
 
     def update_from_block(self, block: SampleBlock) -> bool:
         """Adopt the safety state of a block; return whether it changed, other than between states of motion."""
+        self._last_tick = int(block.samples["tick"][-1])
+        self._block_arrived.set()
         if (block.safety, block.why) == (self.safety, self.why):
             return False
         before, self.safety, self.why = self.safety, block.safety, block.why
@@ -55,6 +60,8 @@ class ArmingController:
 
     def on_worker_death(self, why: str) -> None:
         """Latch a fault if the tool was armed when the acquisition worker died; the next worker begins with it."""
+        self._last_tick = math.inf
+        self._block_arrived.set()
         if self.safety is Safety.FAULTED:
             why = self.why
             self._raise_fault_alarm()  # the dead worker may have lost the acknowledgment
@@ -86,10 +93,10 @@ class ArmingController:
             raise RefusedError("The tool has no motor: nothing needs to be armed.")
         if not self._supervisor.has_safety_monitor:
             raise RefusedError("The safety monitor, which zeroes a hung tool's motor, does not run: see the alarms.")
-        await self._commander.send(bus.ArmCommand(unmeasured_scale_reason))
+        reply = await self._commander.send(bus.ArmCommand(unmeasured_scale_reason))
         try:
             async with asyncio.timeout(SELF_TEST_TIMEOUT_S):
-                await self._wait_for_self_test()
+                await self._wait_for_self_test(reply.tick)
         except TimeoutError:
             raise RefusedError("The self-test did not end in time. See the alarms, then try again.") from None
         if self.safety is not Safety.ARMED:
@@ -98,10 +105,11 @@ class ArmingController:
         without = f", without a measured force scale: {unmeasured_scale_reason}" if unmeasured_scale_reason else ""
         self._publish_event(f"Armed: tare and self-test passed{without}", by=by)
 
-    async def _wait_for_self_test(self) -> None:
-        """Wait until the blocks show the end of the self-test that the acquisition has begun."""
-        if self.safety is not Safety.ARMED:
-            await self._wait_for_change()
+    async def _wait_for_self_test(self, tick: int) -> None:
+        """Wait until the blocks after the sample `tick` show the end of the self-test that has begun there."""
+        while self._last_tick <= tick:
+            self._block_arrived.clear()
+            await self._block_arrived.wait()
         while self.safety is Safety.TESTING:
             await self._wait_for_change()
 

@@ -7,7 +7,7 @@ import zmq
 
 from acquisition import bus
 
-MAX_MESSAGES_PER_TURN = 50  # of one bus socket, before other tasks of the event loop run
+MAX_MESSAGES_PER_TURN = 10  # of one bus socket, before other tasks of the event loop run
 
 
 class BusListener:

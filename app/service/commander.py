@@ -21,8 +21,8 @@ class Commander:
         self._context, self._address = context, address
         self._pending: set[asyncio.Task[bus.CommandReply]] = set()
 
-    async def send(self, command: bus.AnyCommand) -> bool:
-        """Send a command, and return whether it changed anything.
+    async def send(self, command: bus.AnyCommand) -> bus.CommandReply:
+        """Send a command, and return the answer.
 
         Raises:
             RefusedError: the acquisition refuses the command; the text says why.
@@ -38,7 +38,7 @@ class Commander:
         answer = asked.result()
         if answer.refused:
             raise RefusedError(answer.refused)
-        return answer.effect
+        return answer
 
     def _on_request_done(self, request: asyncio.Task[bus.CommandReply]) -> None:
         self._pending.discard(request)

@@ -2,6 +2,7 @@
 
 import asyncio
 import re
+import secrets
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,7 +11,7 @@ from app.messages.journal import JournalKind
 from app.messages.lab_sessions import LabSession, LabSessionChange, LabSessionRequest
 from app.service.publisher import Publisher
 from config.errors import ConfigurationError, RefusedError
-from config.schema import LaboratorySettings
+from config.schema import LaboratorySettings, ToolKind
 
 CHANGEABLE = ("subject", "species", "specimen", "condition", "operator", "protocol_number", "notes", "fields")
 
@@ -38,7 +39,7 @@ class LabSessions:
         self.end(by)
         now = datetime.now(UTC)
         session = LabSession(
-            id=f"S{now:%Y%m%d-%H%M%S}",
+            id=f"S{now:%Y%m%d-%H%M%S}-{secrets.token_hex(2)}",
             **{name: getattr(wanted, name) for name in CHANGEABLE},
             began_at=now.isoformat(timespec="seconds"),
             ended_at=None,
@@ -89,13 +90,13 @@ class LabSessions:
             return self.current
         return await self._publisher.index_writer.query(self._store.get_lab_session, session_id)
 
-    def check_for_start(self, *, has_real_motor: bool) -> None:
+    def check_for_start(self, kind: ToolKind) -> None:
         """Check that a session is under way where the settings ask for one.
 
         Raises:
             RefusedError: there is none.
         """
-        if self._settings.session_required and has_real_motor and self.current is None:
+        if self._settings.session_required and kind is not ToolKind.SIMULATED and self.current is None:
             raise RefusedError("No session is under way. Begin one first: who is examined, and under which conditions.")
 
     def _check(self, wanted: LabSessionRequest) -> None:

@@ -33,7 +33,7 @@ class LiveStream:
     ) -> None:
         self._library, self._sample_rate_hz = plan.library, plan.tool.board.sample_rate_hz
         self.tissues = len(plan.library.tissues)
-        self._dose_limit_n_s = plan.tool.to_displayed_n(plan.settings.warnings.spot_dose_n_s)
+        self._dose_threshold_n_s = plan.tool.to_displayed_n(plan.settings.warnings.spot_dose_n_s)
         self._publisher, self._runs, self._metrics, self._log_context = publisher, runs, metrics, log_context
         self._annotations = annotations
         self._frame_buffer = FrameBuffer(int(plan.settings.server.history_s * self._sample_rate_hz))
@@ -85,7 +85,7 @@ class LiveStream:
     def _make_translator(self) -> EventTranslator:
         alarms = self._publisher.alarms
         return EventTranslator(
-            self._library, self._sample_rate_hz, self._dose_limit_n_s, alarms, self._publish, self._on_grasp_ended
+            self._library, self._sample_rate_hz, self._dose_threshold_n_s, alarms, self._publish, self._on_grasp_ended
         )
 
     def _publish(self, message: BaseModel) -> None:

@@ -70,7 +70,7 @@ class RunController:
             ServiceError: the acquisition does not answer.
         """
         self._arming.check_no_fault()
-        self._lab_sessions.check_for_start(has_real_motor=self._plan.tool.has_real_motor)
+        self._lab_sessions.check_for_start(self._plan.tool.kind)
         stops = self._stop_count
         is_unarmed = self._plan.tool.has_motor and self._arming.safety is not Safety.ARMED
         if is_unarmed and self._plan.settings.safety.arm_with_start:
@@ -142,7 +142,7 @@ class RunController:
         if not self._supervisor.tool_may_open:
             return False  # no motor exists, or no worker can move it yet
         self._stop_count += 1
-        effect = await self._commander.send(bus.StopCommand(why))
+        effect = (await self._commander.send(bus.StopCommand(why))).effect
         current = self._runs.current
         if effect and current:
             self.end(current.id, RunState.STOPPED, why)

@@ -13,8 +13,8 @@ from estimator.force_alarms import Priority
 
 LOSS_ALARM_DURATION_S = 5.0
 LATE_SAMPLES_S = 0.1  # samples read later than this count as late
-CLOCK_DRIFT_PER_BLOCK_S = 5e-7  # 100 ppm between the clocks of board and computer, for a block of 5 ms
-MAX_RATE_BLOCKS = 400  # over which the sample rate is measured: two seconds
+CLOCK_DRIFT = 1e-4  # greatest difference of the clocks of board and computer
+MAX_RATE_BLOCKS = 400  # over which the sample rate is measured: two seconds of a run
 
 
 class SampleMonitor:
@@ -72,7 +72,7 @@ class SampleMonitor:
         behind_s = block.t_mono_ns / 1e9 - clock_s
         if block.sequence == 1:
             self._min_delay_s = behind_s
-        self._min_delay_s = min(self._min_delay_s + CLOCK_DRIFT_PER_BLOCK_S, behind_s)
+        self._min_delay_s = min(self._min_delay_s + CLOCK_DRIFT * len(block.samples) / self._sample_rate_hz, behind_s)
         self._metrics.acquisition_lateness.observe(behind_s - self._min_delay_s)
 
     def _check_lateness(self, block: SampleBlock) -> None:

@@ -39,7 +39,7 @@ class Watchdog:
         return time.monotonic() - self._own_delay_s
 
     def feed(self, worker: str) -> None:
-        """Take note of a message from a worker, unless it is being replaced: it owes no more messages."""
+        """Take note of a message from a worker, unless it is being replaced: its messages no longer count."""
         if self._supervisor.is_being_replaced(worker):
             return
         self._last_heard_s[worker] = self._listening_time_s()

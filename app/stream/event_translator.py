@@ -22,14 +22,14 @@ class EventTranslator:
         self,
         library: TissueLibrary,
         rate_hz: float,
-        dose_limit_n_s: float,
+        dose_threshold_n_s: float,
         alarms: AlarmManager,
         publish: Callable[[BaseModel], None],
         on_grasp: Callable[[Grasp], None],
     ) -> None:
-        """`dose_limit_n_s`: displayed dose on one spot at which an alarm begins, N s."""
+        """`dose_threshold_n_s`: displayed dose on one spot at which an alarm begins, N s."""
         self._library = library
-        self._dose_limit_n_s, self._spot_dose_n_s = dose_limit_n_s, 0.0
+        self._dose_threshold_n_s, self._spot_dose_n_s = dose_threshold_n_s, 0.0
         self._identification_period_ticks = rate_hz / IDENTIFICATION_RATE_HZ
         self._alarms = alarms
         self._publish = publish
@@ -70,7 +70,7 @@ class EventTranslator:
             text = f"The limiter holds the motor back{at}"
             self._publish(EventMessage(server_time_ms=at_ms, text=text))
         self._held_back |= result.holding_back
-        self._check_dose(result.spot_dose_n_s or 0.0, at_ms)
+        self._check_dose(result, at_ms)
         changed = before is None or _change_key(before[0]) != _change_key(result)
         due = result.in_grasp and not 0 <= result.tick - self._published_tick < self._identification_period_ticks
         if changed or due:
@@ -78,11 +78,12 @@ class EventTranslator:
             self._publish(Identification.from_result(result, at_ms))
             self._alarms.update_peak_force(result.force_n)
 
-    def _check_dose(self, dose_n_s: float, at_ms: float) -> None:
-        """Raise an alarm when the dose on a spot passes the limit, once for each spot."""
-        before, self._spot_dose_n_s = self._spot_dose_n_s, dose_n_s
-        if before < self._dose_limit_n_s <= dose_n_s:
-            text = f"Force over time on this spot is above {self._dose_limit_n_s:.0f} N s: grasp another spot"
+    def _check_dose(self, result: IdentificationResult, at_ms: float) -> None:
+        """Raise an alarm when the dose on a spot passes the threshold, once for each spot."""
+        before, self._spot_dose_n_s = self._spot_dose_n_s, result.spot_dose_n_s or 0.0
+        if before < self._dose_threshold_n_s <= self._spot_dose_n_s:
+            over = f"{self._dose_threshold_n_s:.0f} N s"
+            text = f"Force over time on the spot of grasp {result.grasp} is above {over}: grasp another spot"
             self._alarms.raise_latched("dose", AlarmKind.FORCE, text, at_ms)
 
     def _add_force_warning(self, priority: Priority | None) -> None:

@@ -35,6 +35,8 @@ class SampleAligner:
     def add_estimates(self, block: EstimateBlock) -> None:
         self._pending_estimates[block.sequence] = block.estimates
         self._pending_estimates.pop(block.sequence - MAX_PENDING_ESTIMATES, None)
+        if len(self._pending_estimates) > MAX_PENDING_ESTIMATES // 2:  # after a delay of the server
+            self.align()
 
     def align(self) -> None:
         """Pass on blocks with their estimates, and blocks that have waited too long.

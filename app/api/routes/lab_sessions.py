@@ -7,6 +7,7 @@ from fastapi import APIRouter, Body, Query, Request, Response
 
 from app.api.dependencies import ToolServiceDep
 from app.api.routes.configuration import RequesterQuery
+from app.api.routes.runs import check_has_tool
 from app.http.audit_middleware import note_request
 from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
@@ -19,6 +20,7 @@ from config.errors import ConfigurationError
 router = APIRouter(prefix="/api/lab-sessions", tags=["lab-sessions"])
 NOT_FOUND_RESPONSE: dict[int | str, dict[str, Any]] = {404: {"description": "No such session", **PROBLEM_RESPONSE}}
 INVALID_RESPONSE: dict[int | str, dict[str, Any]] = {422: {"description": "A field is at fault", **PROBLEM_RESPONSE}}
+NO_TOOL_RESPONSE: dict[int | str, dict[str, Any]] = {409: {"description": "There is no tool", **PROBLEM_RESPONSE}}
 
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
@@ -38,6 +40,7 @@ async def begin_lab_session(
 ) -> LabSession:
     """Begin a laboratory session, to which all runs belong from now on. The one before ends."""
     note_request(request, description="Begin a laboratory session")
+    check_has_tool(tool_service)
     try:
         begun = tool_service.lab_sessions.begin(body, requester_name(request, body.by))
     except ConfigurationError as error:
@@ -68,10 +71,11 @@ async def change_lab_session(
     return changed
 
 
-@router.delete("/current", dependencies=[require_role(Role.OPERATOR)], responses=NOT_FOUND_RESPONSE)
+@router.delete("/current", dependencies=[require_role(Role.OPERATOR)], responses=NOT_FOUND_RESPONSE | NO_TOOL_RESPONSE)
 async def end_lab_session(request: Request, tool_service: ToolServiceDep, by: RequesterQuery = None) -> LabSession:
     """End the laboratory session under way. A run under way still belongs to it."""
     note_request(request, description="End the laboratory session")
+    check_has_tool(tool_service)
     ended = tool_service.lab_sessions.end(requester_name(request, by))
     if ended is None:
         raise ProblemError(HTTPStatus.NOT_FOUND, "No laboratory session is under way.")

@@ -96,9 +96,9 @@ class _ReplayCacheWriter:
         self._sample_file, self._message_file = samples, told
         self._rate_hz, self._tissues = tool.board.sample_rate_hz, len(library.tissues)
         self._alarms = AlarmManager(self._publish)
-        dose_limit_n_s = tool.to_displayed_n(warnings.spot_dose_n_s)
+        dose_threshold_n_s = tool.to_displayed_n(warnings.spot_dose_n_s)
         self._translator = EventTranslator(
-            library, self._rate_hz, dose_limit_n_s, self._alarms, self._publish, self._publish_grasp
+            library, self._rate_hz, dose_threshold_n_s, self._alarms, self._publish, self._publish_grasp
         )
         self._segments: list[tuple[int, int]] = []  # first tick and first row
         self._messages: list[tuple[int, int, int]] = []  # tick, kind, end

@@ -12,6 +12,8 @@ export class CorrectionForm {
   private readonly remark: HTMLSelectElement;
   private readonly why: HTMLInputElement;
   private grasp = 0;
+  private run: string | null = null;
+  private version = 0;
 
   constructor(
     private readonly root: HTMLElement,
@@ -38,6 +40,8 @@ export class CorrectionForm {
   open(grasp: number): void {
     const before = this.model.truths.get(grasp);
     this.grasp = grasp;
+    this.run = this.model.graspsOfRun;
+    this.version = before?.version ?? 0;
     setText(find(this.root, "correction-title"), `Grasp ${grasp}`);
     find(this.root, "correction-tissues").replaceChildren(...this.model.tissues.map(({ name, title }) => createOption(name, title)));
     this.held.value = before?.held ?? "";
@@ -51,7 +55,7 @@ export class CorrectionForm {
   }
 
   private async save(): Promise<void> {
-    const run = this.model.graspsOfRun;
+    const { run } = this;
     if (run === null) return;
     const held = tissueNameOf(this.held.value);
     const why = this.why.value.trim();
@@ -59,7 +63,7 @@ export class CorrectionForm {
       const truth: GraspTruth = await correctTruth(run, this.grasp, {
         held: held === "" ? null : held,
         remark: this.remark.value === "" ? null : (this.remark.value as GraspRemark),
-        version: this.model.truths.get(this.grasp)?.version ?? 0,
+        version: this.version,
         why: why === "" ? null : why,
         by: this.person.name,
       });

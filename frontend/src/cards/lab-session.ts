@@ -33,8 +33,9 @@ export class LabSessionLine {
 
   render(): void {
     const session = this.session;
-    if (this.model.hello && this.fieldsFor !== this.model.hello.lab_fields) this.listFields(this.model.hello.lab_fields);
-    setText(find(this.root, "session-now"), session === null ? "No session: runs belong to nobody." : describe(session));
+    const fields = this.model.hello?.lab_fields ?? [];
+    if (this.fieldsFor?.join("\n") !== fields.join("\n")) this.listFields(fields);
+    setText(find(this.root, "session-now"), session === null ? "No session: new runs have no subject." : describe(session));
     setText(find(this.root, "session-open"), session === null ? "Begin a session" : "Change it");
     setHidden(find(this.root, "session-end"), session === null);
   }
@@ -90,12 +91,16 @@ export class LabSessionLine {
   }
 
   private async save(): Promise<void> {
+    const save = find(this.root, "session-save", HTMLButtonElement);
+    save.disabled = true;
     try {
       const { changed } = this;
       await (changed ? changeLabSession(changed.id, { ...this.request(), version: changed.version }) : beginLabSession(this.request()));
       setHidden(this.form, true);
     } catch (error) {
       this.showMessage(`Not saved: ${messageOf(error)}`);
+    } finally {
+      save.disabled = false;
     }
   }
 

@@ -61,7 +61,7 @@ export class TruthCard {
       ...REMARKS.map((remark, i) => ({
         key: REMARK_KEYS[i] ?? "",
         label: REMARK_KEYS[i] ?? "",
-        description: `Remark on this grasp: ${remark}`,
+        description: `Remark on the grasp under way or the next one: ${remark}`,
         run: () => this.stateRemark(remark),
       })),
       { key: "m", label: "M", description: "Set a mark on the recording, with the text that was typed before", run: () => void this.mark() },

@@ -33,8 +33,10 @@ export class ReplayPage implements Page {
     });
     this.bar = new ReplayBar(this.watch.root, this.model, name, (control) => this.connection.send(control));
     this.keys = [...this.watch.keys, ...this.bar.keys];
-    this.model.graspsOfRun = name.replace(/\.mcap$/, "");
-    void this.loadAnnotations(this.model.graspsOfRun);
+    if (name.endsWith(".mcap")) {
+      this.model.graspsOfRun = name.slice(0, -".mcap".length);
+      void this.loadAnnotations(this.model.graspsOfRun);
+    }
     this.connection.start();
   }
 
