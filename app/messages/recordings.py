@@ -44,7 +44,7 @@ class RecordingInfo(Message):
     )
     duration_s: float | None = Field(description="Null: not read yet, or unreadable")
     problem: str | None = Field(description="Why the recording cannot be replayed")
-    whole: bool = Field(description="False while the recording is being written, or if it was cut off")
+    whole: bool = Field(description="False while it is being written or has not been read, or if it was cut off")
     run_id: str | None = Field(description="Null: the file is no recording of a run")
     protocol: str | None
     tissue: str | None = Field(description="Tissue given in the request for the run")

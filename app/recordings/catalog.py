@@ -138,7 +138,7 @@ class RecordingCatalog:
             self._summaries |= dict.fromkeys(broken[:1], _FileSummary(problem=str(error)))
 
     def _build_info(self, name: str, file: _CatalogFile) -> RecordingInfo:
-        content = self._summaries.get(file, _FileSummary())
+        content = self._summaries.get(file, _FileSummary(is_complete=False))  # not read yet
         facts = content.metadata
         modified = datetime.fromtimestamp(file.modified_ns / 1e9, UTC).isoformat(timespec="seconds")
         return RecordingInfo(

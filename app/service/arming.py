@@ -1,6 +1,7 @@
 """The class ArmingController: arms and disarms the tool; faults stay latched until a person acknowledges them."""
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Callable
 
@@ -60,7 +61,7 @@ class ArmingController:
 
     def on_worker_death(self, why: str) -> None:
         """Latch a fault if the tool was armed when the acquisition worker died; the next worker begins with it."""
-        self._last_tick = math.inf
+        self._last_tick, self._commander.last_reply_tick = math.inf, -1
         self._block_arrived.set()
         if self.safety is Safety.FAULTED:
             why = self.why
@@ -74,7 +75,9 @@ class ArmingController:
         self._safety_changed.set()
 
     def on_worker_replacement(self) -> None:
-        """The next acquisition worker begins disarmed, or with the fault that is latched."""
+        """The next acquisition worker begins disarmed, or with the fault that is latched; its ticks begin at zero."""
+        self._last_tick, self._commander.last_reply_tick = math.inf, -1
+        self._block_arrived.set()
         if self.safety is not Safety.FAULTED:
             self.safety, self.why = Safety.DISARMED, ""
         self._supervisor.set_initial_fault(self.why)
@@ -105,11 +108,23 @@ class ArmingController:
         without = f", without a measured force scale: {unmeasured_scale_reason}" if unmeasured_scale_reason else ""
         self._publish_event(f"Armed: tare and self-test passed{without}", by=by)
 
-    async def _wait_for_self_test(self, tick: int) -> None:
-        """Wait until the blocks after the sample `tick` show the end of the self-test that has begun there."""
+    async def wait_until_known(self) -> None:
+        """Wait until a block shows the safety state after the last command, for a moment at most.
+
+        A stop is answered before a block shows it; whoever starts right after it must not judge by the state before.
+        """
+        with contextlib.suppress(TimeoutError):  # no blocks come: an alarm says so
+            async with asyncio.timeout(ANSWER_TIMEOUT_S):
+                await self._wait_for_block_after(self._commander.last_reply_tick)
+
+    async def _wait_for_block_after(self, tick: int) -> None:
         while self._last_tick <= tick:
             self._block_arrived.clear()
             await self._block_arrived.wait()
+
+    async def _wait_for_self_test(self, tick: int) -> None:
+        """Wait until the blocks after the sample `tick` show the end of the self-test that has begun there."""
+        await self._wait_for_block_after(tick)
         while self.safety is Safety.TESTING:
             await self._wait_for_change()
 

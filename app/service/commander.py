@@ -20,6 +20,7 @@ class Commander:
     def __init__(self, context: zmq.asyncio.Context, address: str) -> None:
         self._context, self._address = context, address
         self._pending: set[asyncio.Task[bus.CommandReply]] = set()
+        self.last_reply_tick = -1  # last sample before the last command: later blocks show what it has changed
 
     async def send(self, command: bus.AnyCommand) -> bus.CommandReply:
         """Send a command, and return the answer.
@@ -36,6 +37,7 @@ class Commander:
                 asked.cancel()
             raise ServiceError("The acquisition worker does not answer. See the alarms, then try again.")
         answer = asked.result()
+        self.last_reply_tick = answer.tick
         if answer.refused:
             raise RefusedError(answer.refused)
         return answer

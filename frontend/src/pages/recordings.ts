@@ -157,10 +157,11 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement, question: HTMLEle
 }
 
 /** Describes the run: protocol, tissue as entered, person. */
-function runInWords({ protocol, tissue, by, whole, run_id: runId }: RecordingInfo): string {
+function runInWords(recording: RecordingInfo): string {
+  const { protocol, tissue, by, whole, run_id: runId } = recording;
   if (runId === null) return "";
   const words = [protocol, tissue?.replaceAll("_", " "), by === null ? null : `by ${by}`];
-  return [...words, whole ? null : "not whole: being recorded, or cut off"].filter(Boolean).join(" · ");
+  return [...words, whole || isBeingRead(recording) ? null : "not whole: being recorded, or cut off"].filter(Boolean).join(" · ");
 }
 
 /** Returns why a recording cannot be replayed, without the file name, which the row shows already. */
