@@ -17,6 +17,7 @@ EXAMPLES = {GenerationMode.POSITIVE: 6, GenerationMode.NEGATIVE: 4}
 CAN_BE_WRONG = 15  # operations that take something which can be wrong
 UNKNOWN, FORBIDDEN = 401, 403
 NO_JSON = 400, 422  # what is none at all is refused before the role is looked at
+TOO_LARGE = 413  # of a body that is refused before it is read
 
 ADMINS_KINDS = {  # a tool file decides forces and limits
     ("POST", "/api/configuration/{kind}", "tool"): Role.ADMIN,
@@ -96,7 +97,7 @@ def check(operation, mode, role, url, headers):
         said = f"{case.as_curl_command()}: {response.status_code} {response.text[:300]}"
         assert response.status_code < 500, said
         if not may:
-            assert response.status_code in ((FORBIDDEN, *NO_JSON) if role else (UNKNOWN,)), said
+            assert response.status_code in ((FORBIDDEN, TOO_LARGE, *NO_JSON) if role else (UNKNOWN,)), said
         elif needed is not None:
             assert response.status_code not in (UNKNOWN, FORBIDDEN), said
 
