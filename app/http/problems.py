@@ -17,6 +17,7 @@ from config.errors import GraspwatchError, RefusedError, ServiceError
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 PROBLEM_RESPONSE = {"content": {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}}}
+INVALID_RESPONSE: dict[int | str, dict[str, Any]] = {422: {"description": "A field is at fault", **PROBLEM_RESPONSE}}
 UNREADABLE_BODY_TEXT = "The body cannot be read: it is not in UTF-8, or nested too deeply. Send JSON in UTF-8."
 JSON_FAULTS = {
     "Expecting value": "a value is missing here, or it is no JSON value",

@@ -96,10 +96,10 @@ class ArmingController:
             raise RefusedError("The tool has no motor: nothing needs to be armed.")
         if not self._supervisor.has_safety_monitor:
             raise RefusedError("The safety monitor, which zeroes a hung tool's motor, does not run: see the alarms.")
-        reply = await self._commander.send(bus.ArmCommand(unmeasured_scale_reason))
+        await self._commander.send(bus.ArmCommand(unmeasured_scale_reason))
         try:
             async with asyncio.timeout(SELF_TEST_TIMEOUT_S):
-                await self._wait_for_self_test(reply.tick)
+                await self._wait_for_self_test()
         except TimeoutError:
             raise RefusedError("The self-test did not end in time. See the alarms, then try again.") from None
         if self.safety is not Safety.ARMED:
@@ -115,16 +115,16 @@ class ArmingController:
         """
         with contextlib.suppress(TimeoutError):  # no blocks come: an alarm says so
             async with asyncio.timeout(ANSWER_TIMEOUT_S):
-                await self._wait_for_block_after(self._commander.last_reply_tick)
+                await self._wait_for_block_after_command()
 
-    async def _wait_for_block_after(self, tick: int) -> None:
-        while self._last_tick <= tick:
+    async def _wait_for_block_after_command(self) -> None:
+        while self._last_tick <= self._commander.last_reply_tick:
             self._block_arrived.clear()
             await self._block_arrived.wait()
 
-    async def _wait_for_self_test(self, tick: int) -> None:
-        """Wait until the blocks after the sample `tick` show the end of the self-test that has begun there."""
-        await self._wait_for_block_after(tick)
+    async def _wait_for_self_test(self) -> None:
+        """Wait until the blocks after the command show the end of the self-test that it has begun."""
+        await self._wait_for_block_after_command()
         while self.safety is Safety.TESTING:
             await self._wait_for_change()
 

@@ -22,8 +22,8 @@ class Commander:
         self._pending: set[asyncio.Task[bus.CommandReply]] = set()
         self.last_reply_tick = -1  # last sample before the last command: later blocks show what it has changed
 
-    async def send(self, command: bus.AnyCommand) -> bus.CommandReply:
-        """Send a command, and return the answer.
+    async def send(self, command: bus.AnyCommand) -> bool:
+        """Send a command, and return whether it changed anything.
 
         Raises:
             RefusedError: the acquisition refuses the command; the text says why.
@@ -40,7 +40,7 @@ class Commander:
         self.last_reply_tick = answer.tick
         if answer.refused:
             raise RefusedError(answer.refused)
-        return answer
+        return answer.effect
 
     def _on_request_done(self, request: asyncio.Task[bus.CommandReply]) -> None:
         self._pending.discard(request)

@@ -143,7 +143,7 @@ class RunController:
         if not self._supervisor.tool_may_open:
             return False  # no motor exists, or no worker can move it yet
         self._stop_count += 1
-        effect = (await self._commander.send(bus.StopCommand(why))).effect
+        effect = await self._commander.send(bus.StopCommand(why))
         current = self._runs.current
         if effect and current:
             self.end(current.id, RunState.STOPPED, why)

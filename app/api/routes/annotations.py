@@ -9,7 +9,7 @@ from app.api.dependencies import ToolServiceDep
 from app.api.routes.configuration import RequesterQuery
 from app.api.routes.runs import RUN_NOT_FOUND_RESPONSE, check_has_tool, list_run_grasps
 from app.http.audit_middleware import note_request
-from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.http.problems import INVALID_RESPONSE, PROBLEM_RESPONSE, ProblemError
 from app.messages.annotations import (
     GraspTruth,
     Mark,
@@ -28,7 +28,6 @@ CHANGED_RESPONSE: dict[int | str, dict[str, Any]] = {
     409: {"description": "Somebody has changed it meanwhile", **PROBLEM_RESPONSE}
 }
 MARK_NOT_FOUND_RESPONSE: dict[int | str, dict[str, Any]] = {404: {"description": "No such mark", **PROBLEM_RESPONSE}}
-INVALID_RESPONSE: dict[int | str, dict[str, Any]] = {422: {"description": "A field is at fault", **PROBLEM_RESPONSE}}
 
 
 @router.post(

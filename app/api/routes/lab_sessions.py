@@ -10,7 +10,7 @@ from app.api.routes.configuration import RequesterQuery
 from app.api.routes.runs import check_has_tool
 from app.http.audit_middleware import note_request
 from app.http.pagination import set_paging_headers
-from app.http.problems import PROBLEM_RESPONSE, ProblemError
+from app.http.problems import INVALID_RESPONSE, PROBLEM_RESPONSE, ProblemError
 from app.index.queries import LabSessionQuery
 from app.messages.lab_sessions import LabSession, LabSessionChange, LabSessionRequest
 from app.messages.people import Role
@@ -19,7 +19,6 @@ from config.errors import ConfigurationError
 
 router = APIRouter(prefix="/api/lab-sessions", tags=["lab-sessions"])
 NOT_FOUND_RESPONSE: dict[int | str, dict[str, Any]] = {404: {"description": "No such session", **PROBLEM_RESPONSE}}
-INVALID_RESPONSE: dict[int | str, dict[str, Any]] = {422: {"description": "A field is at fault", **PROBLEM_RESPONSE}}
 NO_TOOL_RESPONSE: dict[int | str, dict[str, Any]] = {409: {"description": "There is no tool", **PROBLEM_RESPONSE}}
 
 
@@ -34,7 +33,12 @@ async def list_lab_sessions(
     return found.items
 
 
-@router.post("", dependencies=[require_role(Role.OPERATOR)], status_code=HTTPStatus.CREATED, responses=INVALID_RESPONSE)
+@router.post(
+    "",
+    dependencies=[require_role(Role.OPERATOR)],
+    status_code=HTTPStatus.CREATED,
+    responses=INVALID_RESPONSE | NO_TOOL_RESPONSE,
+)
 async def begin_lab_session(
     request: Request, tool_service: ToolServiceDep, body: Annotated[LabSessionRequest, Body()]
 ) -> LabSession:
