@@ -16,6 +16,7 @@ EXAMPLES = [
 ]
 
 
+@pytest.mark.alone  # a kernel and its plots take a core while the tool, which must not be starved, grasps
 @pytest.mark.parametrize("path", EXAMPLES)
 def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")

@@ -15,6 +15,7 @@ from acquisition.safety.force_limiter import ForceLimiter
 from app.recordings.run_reader import read_run
 from config.load import load_library, load_settings, load_tool
 
+pytestmark = pytest.mark.alone  # a reaction time is judged
 LIBRARY, SETTINGS = load_library("porcine"), load_settings()
 MARGIN = SETTINGS.limiter.margin
 LOWEST_N, LIVER_N = MARGIN * LIBRARY.lowest_threshold_n, MARGIN * LIBRARY.threshold_n("liver")
