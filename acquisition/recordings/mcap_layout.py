@@ -1,7 +1,7 @@
 """Layout of Graspwatch's MCAP files (topics, columns, version, names), and functions between samples and columns."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -44,19 +44,24 @@ RAW_SIGNALS = tuple(signal for signal in SIGNALS if signal.raw is not None)
 OPTIONAL_COLUMNS = {signal.name for signal in RAW_SIGNALS if signal.optional}
 
 
-def raw_columns(block: SampleBlock) -> dict[str, np.ndarray]:
-    """Return the columns of `RAW_LAYOUT`; the first row counts the samples lost before the block."""
-    samples = block.samples
-    lost_samples = np.zeros(len(samples), "u4")
-    lost_samples[0] = block.lost_samples
+def raw_columns(samples: np.ndarray, lost_samples: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns of `RAW_LAYOUT`; `lost_samples`, (n,), counts those lost right before each sample."""
     flags = samples["flags"] & np.uint16(LIMITER_FLAGS)
     of_limiter = {"limiter_flags": flags, "lost_samples": lost_samples}
     return {signal.name: samples[signal.name] for signal in RAW_SIGNALS} | of_limiter
 
 
-def conditioned_columns(block: SampleBlock) -> Mapping[str, np.ndarray]:
-    """Return a block's conditioned signals by name: the values for rows of `CONDITIONED_LAYOUT`."""
-    return {name: block.samples[name] for name in CONDITIONED_COLUMNS}
+def conditioned_columns(samples: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the conditioned signals by name: the values for rows of `CONDITIONED_LAYOUT`."""
+    return {name: samples[name] for name in CONDITIONED_COLUMNS}
+
+
+def count_lost_before(blocks: Sequence[SampleBlock]) -> np.ndarray:
+    """Return for each sample of consecutive blocks how many were lost right before it, (n,)."""
+    lengths = [len(block.samples) for block in blocks]
+    lost_samples = np.zeros(sum(lengths), "u4")
+    lost_samples[np.cumsum([0, *lengths[:-1]])] = [block.lost_samples for block in blocks]
+    return lost_samples
 
 
 def samples_from_columns(raw: Mapping[str, np.ndarray], conditioned: Mapping[str, np.ndarray]) -> np.ndarray:

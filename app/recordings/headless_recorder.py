@@ -24,6 +24,7 @@ from app.stream.event_translator import EventTranslator
 from config.errors import RecordingError, ServiceError, build_write_error
 from config.schema import GraspProtocol
 from estimator.estimate_block import EstimateBlock, GraspRecord, SpotVerdict
+from estimator.estimate_messages import PublishedEstimates
 
 FLUSH_SAMPLES = 1_000
 
@@ -121,7 +122,7 @@ class HeadlessRecorder:
         with self._explain_disk_errors():
             file = self._file = self._file or self._open_file()
             file.add_samples(replace(block, t_mono_ns=self._now_ns))
-            file.add_estimates(estimate.estimates, estimate.sequence, self._now_ns)
+            file.add_estimates(PublishedEstimates(estimate.sequence, self._now_ns, estimate.estimates))
             self._translate(estimate)
             if file.samples >= self._next_flush_samples:
                 self._next_flush_samples = file.samples + FLUSH_SAMPLES

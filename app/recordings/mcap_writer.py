@@ -8,7 +8,7 @@ import platform
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Self
@@ -26,6 +26,7 @@ from app import __version__
 from app.recordings.topics import SCHEMA_NAMES, TOPIC_MODELS, build_json_schema
 from config.errors import RecordingError
 from config.schema import Settings, TissueLibrary, Tool
+from estimator.estimate_messages import PublishedEstimates
 from estimator.estimate_rows import estimate_columns, row_layouts
 
 RECORDING_SUFFIX = ".mcap"
@@ -82,17 +83,6 @@ def collect_versions() -> dict[str, str]:
     }
 
 
-@dataclass(slots=True)
-class _PendingRows:
-    """Rows of one topic that wait for the next flush."""
-
-    rows: RowLayout
-    channel: int
-    columns: list[Mapping[str, np.ndarray]] = field(default_factory=list)
-    sequences: list[int] = field(default_factory=list)
-    published_ns: list[int] = field(default_factory=list)
-
-
 class McapRunWriter:
     """Writer of one file. Each `flush` sends added data to the disk; `close` completes the file."""
 
@@ -115,6 +105,8 @@ class McapRunWriter:
         self._tissues = list(recording_context.library.tissues)
         self._sample_period_ns = 1e9 / recording_context.tool.board.sample_rate_hz
         self._clock_anchor: tuple[int, int] | None = None  # a tick and its time, ns since 1970
+        self._pending_samples: list[SampleBlock] = []  # until the next flush
+        self._pending_estimates: list[PublishedEstimates] = []
         self._file = path.open("xb")
         self._sync_executor = ThreadPoolExecutor(1, "disk")
         self._sync_future: Future[None] | None = None  # the last sync
@@ -137,8 +129,8 @@ class McapRunWriter:
         now_ns = time.time_ns()
         for name, data in {**recording_context.attachments(), **attachments}.items():
             self._writer.add_attachment(now_ns, now_ns, name, "application/json", data)
-        kinds = row_layouts(self._tissues).items()
-        self._pending = {topic: _PendingRows(rows, self._register_channel(topic, rows)) for topic, rows in kinds}
+        self._layouts = row_layouts(self._tissues)
+        self._row_channels = {topic: self._register_channel(topic, rows) for topic, rows in self._layouts.items()}
         self._message_channels = {
             topic: self._writer.register_channel(
                 topic, "json", self._writer.register_schema(SCHEMA_NAMES[topic], "jsonschema", build_json_schema(model))
@@ -169,25 +161,16 @@ class McapRunWriter:
 
     def add_samples(self, block: SampleBlock) -> None:
         """Add a block of samples."""
-        read_ns = block.t_mono_ns + self._wall_offset_ns
         if self._clock_anchor is None:
             last_tick = int(block.samples["tick"][-1])
-            self._clock_anchor = (last_tick + 1, read_ns)
+            self._clock_anchor = (last_tick + 1, block.t_mono_ns + self._wall_offset_ns)
         self.samples += len(block.samples)
         self.lost_samples += block.lost_samples
-        self._add_rows(mcap_layout.RAW_TOPIC, mcap_layout.raw_columns(block), block.sequence, read_ns)
-        self._add_rows(mcap_layout.CONDITIONED_TOPIC, mcap_layout.conditioned_columns(block), block.sequence, read_ns)
+        self._pending_samples.append(block)
 
-    def add_estimates(self, estimates: np.ndarray, sequence: int, published_ns: int) -> None:
-        """Add the estimates of a block; `published_ns` by the monotonic clock."""
-        columns = estimate_columns(estimates, self._tissues)
-        self._add_rows(mcap_layout.ESTIMATES_TOPIC, columns, sequence, published_ns + self._wall_offset_ns)
-
-    def _add_rows(self, topic: str, columns: Mapping[str, np.ndarray], sequence: int, published_ns: int) -> None:
-        pending = self._pending[topic]
-        pending.columns.append(columns)
-        pending.sequences.append(sequence)
-        pending.published_ns.append(published_ns)
+    def add_estimates(self, estimates: PublishedEstimates) -> None:
+        """Add the estimates of a block."""
+        self._pending_estimates.append(estimates)
 
     def add_message(self, topic: str, content: bytes, at_ns: int) -> None:
         """Add a JSON message; `at_ns` by the computer's clock."""
@@ -201,8 +184,8 @@ class McapRunWriter:
         Raises:
             OSError: the disk is full or gone; a later flush may raise it instead.
         """
-        for pending in self._pending.values():
-            self._write_rows(pending)
+        self._write_samples()
+        self._write_estimates()
         self._writer.flush()
         if sync:
             self._sync()
@@ -216,22 +199,39 @@ class McapRunWriter:
         self._sync_future = self._sync_executor.submit(os.fdatasync, self._file.fileno())
         self._sync_started_s = time.monotonic()
 
-    def _write_rows(self, pending: _PendingRows) -> None:
-        if not pending.columns:
+    def _write_samples(self) -> None:
+        blocks = self._pending_samples[:MAX_BLOCKS_PER_FLUSH]
+        if not blocks:
             return
-        now = slice(MAX_BLOCKS_PER_FLUSH)
-        blocks = pending.columns[now]
-        lengths = [len(columns["tick"]) for columns in blocks]
-        joined = {name: np.concatenate([columns[name] for columns in blocks]) for name in blocks[0]}
-        tick, at_ns = self._clock_anchor or (int(joined["tick"][0]), time.time_ns())
-        log_ns = at_ns + np.round((joined["tick"] - tick) * self._sample_period_ns).astype(np.int64)
-        data, size = pending.rows.encode_rows(joined), pending.rows.row_bytes
-        sequences = np.repeat(pending.sequences[now], lengths).tolist()
-        published_ns = np.repeat(pending.published_ns[now], lengths).tolist()
-        add, channel = self._writer.add_message, pending.channel
-        for i, (at, published, sequence) in enumerate(zip(log_ns.tolist(), published_ns, sequences, strict=True)):
+        samples = np.concatenate([block.samples for block in blocks])
+        lost_samples = mcap_layout.count_lost_before(blocks)
+        origins = [(len(block.samples), block.sequence, block.t_mono_ns) for block in blocks]
+        self._write_rows(mcap_layout.RAW_TOPIC, mcap_layout.raw_columns(samples, lost_samples), origins)
+        self._write_rows(mcap_layout.CONDITIONED_TOPIC, mcap_layout.conditioned_columns(samples), origins)
+        del self._pending_samples[: len(blocks)]
+
+    def _write_estimates(self) -> None:
+        blocks = self._pending_estimates[:MAX_BLOCKS_PER_FLUSH]
+        if not blocks:
+            return
+        columns = estimate_columns(np.concatenate([block.estimates for block in blocks]), self._tissues)
+        origins = [(len(block.estimates), block.sequence, block.published_ns) for block in blocks]
+        self._write_rows(mcap_layout.ESTIMATES_TOPIC, columns, origins)
+        del self._pending_estimates[: len(blocks)]
+
+    def _write_rows(self, topic: str, columns: Mapping[str, np.ndarray], origins: list[tuple[int, int, int]]) -> None:
+        """Write rows of a topic; `origins`: of each block the length, number, and time of publication, ns."""
+        tick, at_ns = self._clock_anchor or (int(columns["tick"][0]), time.time_ns())
+        log_ns = at_ns + np.round((columns["tick"] - tick) * self._sample_period_ns).astype(np.int64)
+        data, size = self._layouts[topic].encode_rows(columns), self._layouts[topic].row_bytes
+        lengths, sequences, published_ns = np.array(origins).T
+        sequence_of_row = np.repeat(sequences, lengths).tolist()
+        published_of_row = np.repeat(published_ns + self._wall_offset_ns, lengths).tolist()
+        add, channel = self._writer.add_message, self._row_channels[topic]
+        for i, (at, published, sequence) in enumerate(
+            zip(log_ns.tolist(), published_of_row, sequence_of_row, strict=True)
+        ):
             add(channel, at, data[i * size : (i + 1) * size], published, sequence)
-        del pending.columns[now], pending.sequences[now], pending.published_ns[now]
 
     def close(self, **end_metadata: str) -> None:
         """Complete the file with the run's end.
@@ -240,7 +240,7 @@ class McapRunWriter:
             OSError: the disk is full or gone; the file is readable up to its last flush.
         """
         try:
-            while any(pending.columns for pending in self._pending.values()):
+            while self._pending_samples or self._pending_estimates:
                 self.flush(sync=False)
             if self._sync_future:
                 self._sync_future.result()

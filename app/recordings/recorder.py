@@ -97,7 +97,7 @@ class Recorder:
 
     def _write_estimates(self, estimated: PublishedEstimates) -> None:
         assert self.file is not None
-        self.file.add_estimates(estimated.estimates, estimated.sequence, estimated.published_ns)
+        self.file.add_estimates(estimated)
 
     def add_message(self, topic: str, content: bytes) -> None:
         """Add a message of a topic of `app/recordings/topics.py`."""

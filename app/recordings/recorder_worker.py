@@ -27,7 +27,9 @@ from app.recordings.recorder import Recorder, RecordingStoppedError
 from config.schema import Tool
 from estimator.estimate_messages import unpack_estimate_rows
 
-POLL_MS = 100
+READ_PERIOD_S = 0.02
+"""Messages are read together at this interval: to wake up for each of them cost as much as to record it."""
+MAX_MESSAGES_PER_TURN = 100  # so that a backlog does not silence the recorder
 STATUS_PERIOD_S = 0.1
 
 
@@ -71,13 +73,21 @@ class _RecorderWorker:
         for path in recover_folder(self._setup.folder):
             self._publish_notice(RecordingRecovered(path.name))
         while not stop.is_set:
-            if sources.poll(POLL_MS):
-                self._run_and_report(lambda: self._on_message(sources.recv_multipart()))
+            if not self._read_messages(sources):
+                time.sleep(READ_PERIOD_S)
             if time.monotonic() - self._last_status_s > STATUS_PERIOD_S:
                 self._priority.renew()
                 self._publish_status()
         self._run_and_report(lambda: self._recorder.close_file("the service was ended"))
         self._publish_status()
+
+    def _read_messages(self, sources: zmq.Socket) -> bool:
+        """Handle the messages that wait; return whether there may be more."""
+        for _ in range(MAX_MESSAGES_PER_TURN):
+            if not sources.poll(0):
+                return False
+            self._run_and_report(lambda: self._on_message(sources.recv_multipart()))
+        return True
 
     def _run_and_report(self, work: Callable[[], None]) -> None:
         file = self._recorder.file

@@ -31,7 +31,8 @@ class BlockReceiver:
         metrics: Metrics,
     ) -> None:
         self._alarms, self._supervisor, self._watchdog = publisher.alarms, supervisor, watchdog
-        self._arming, self._state, self._metrics = arming, state, metrics
+        self._arming, self._state = arming, state
+        self._server_missing, self._estimator_missing = map(metrics.missing_blocks.labels, ("server", "estimator"))
         self._sample_monitor, self._live_stream = sample_monitor, live_stream
         self._sample_sequence, self._estimate_sequence = bus.SequenceTracker(), bus.SequenceTracker()
         self._acquisition_died_ns = 0  # monotonic time at which the last acquisition worker died
@@ -56,9 +57,7 @@ class BlockReceiver:
         self._sample_monitor.add_block(block, missing)
         for follow in self.listeners:
             follow(block)
-        self._metrics.missing_blocks.labels("server").set(
-            self._sample_sequence.missing + self._estimate_sequence.missing
-        )
+        self._server_missing.set(self._sample_sequence.missing + self._estimate_sequence.missing)
         self._live_stream.add_samples(block)
 
     def on_estimates(self, parts: list[bytes]) -> None:
@@ -68,7 +67,7 @@ class BlockReceiver:
         self._watchdog.feed("estimator")
         self._estimate_sequence.update(block.sequence)
         self._sample_monitor.add_estimate_latency((received.published_ns - block.t_mono_ns) / 1e9)
-        self._metrics.missing_blocks.labels("estimator").set(received.missing_blocks)
+        self._estimator_missing.set(received.missing_blocks)
         self._live_stream.add_estimates(block)
 
     def on_worker_death(self, worker: str) -> None:

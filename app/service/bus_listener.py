@@ -8,6 +8,8 @@ import zmq
 from acquisition import bus
 
 MAX_MESSAGES_PER_TURN = 10  # of one bus socket, before other tasks of the event loop run
+READ_PERIOD_S = 0.01
+"""Messages are read together at this interval: to wake up for each of them cost as much time as to handle it."""
 
 
 class BusListener:
@@ -19,25 +21,19 @@ class BusListener:
     async def listen(self, address: str, on_message: Callable[[list[bytes]], None]) -> None:
         """Pass each message published at `address` to `on_message`.
 
-        The event loop watches the socket itself: a future for each message cost as much time as handling it.
+        All sockets are read at the same times, so that the event loop wakes up once for all of them.
         """
-        loop, readable = asyncio.get_running_loop(), asyncio.Event()
-        socket = bus.open_subscriber(self._context, address)
-        loop.add_reader(socket.FD, readable.set)
-        readable.set()  # messages that came before the line above do not wake the loop
+        loop, socket = asyncio.get_running_loop(), bus.open_subscriber(self._context, address)
         try:
             while True:
-                await readable.wait()
-                readable.clear()
                 for _ in range(MAX_MESSAGES_PER_TURN):
                     if not socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                        await asyncio.sleep(READ_PERIOD_S - loop.time() % READ_PERIOD_S)
                         break
                     on_message(socket.recv_multipart(zmq.NOBLOCK))
                 else:
-                    readable.set()
                     await asyncio.sleep(0)
         finally:
-            loop.remove_reader(socket.FD)
             socket.close()
 
     def close(self) -> None:

@@ -104,8 +104,9 @@ class FoxglovePublisher:
             or not self._clock_anchor[0]
         ):
             self._clock_anchor = (int(block.samples["tick"][-1]) + 1, block.t_mono_ns + self._wall_offset_ns)
-        self._publish_rows(mcap_layout.RAW_TOPIC, mcap_layout.raw_columns(block))
-        self._publish_rows(mcap_layout.CONDITIONED_TOPIC, mcap_layout.conditioned_columns(block))
+        lost_samples = mcap_layout.count_lost_before([block])
+        self._publish_rows(mcap_layout.RAW_TOPIC, mcap_layout.raw_columns(block.samples, lost_samples))
+        self._publish_rows(mcap_layout.CONDITIONED_TOPIC, mcap_layout.conditioned_columns(block.samples))
 
     def _publish_rows(self, topic: str, columns: Mapping[str, np.ndarray]) -> None:
         if self._row_channels[topic].has_subscribers:

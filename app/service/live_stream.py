@@ -39,7 +39,9 @@ class LiveStream:
         self._frame_buffer = FrameBuffer(int(plan.settings.server.history_s * self._sample_rate_hz))
         self._aligner = SampleAligner(self._frame_buffer, self.tissues)
         self._translator = self._make_translator()
-        self._set_fit(dict.fromkeys(plan.library.tissues))
+        self._nis: dict[str, float | None] = dict.fromkeys(plan.library.tissues)
+        self._fit_metrics = {tissue: metrics.filter_nis.labels(tissue) for tissue in plan.library.tissues}
+        self._set_fit_metrics()
 
     @property
     def identification(self) -> Identification | None:
@@ -51,16 +53,17 @@ class LiveStream:
 
     def add_estimates(self, block: EstimateBlock) -> None:
         self._aligner.add_estimates(block)
-        self._set_fit(block.identification.nis)
+        self._nis = block.identification.nis
         self._translator.process(block, now_ms(), monotonic_to_wall_ms(block.t_mono_ns))
 
-    def _set_fit(self, nis: dict[str, float | None]) -> None:
+    def _set_fit_metrics(self) -> None:
         """Set the metric of each filter's fit; NaN without an estimate."""
-        for tissue, value in nis.items():
-            self._metrics.filter_nis.labels(tissue).set(math.nan if value is None else value)
+        for tissue, value in self._nis.items():
+            self._fit_metrics[tissue].set(math.nan if value is None else value)
 
     def send_frames(self) -> None:
         """Send the samples since the last call to the viewers."""
+        self._set_fit_metrics()
         self._aligner.align()
         for frame in self._frame_buffer.cut_frames():
             self._publisher.viewer_hub.broadcast_frame(frame)
