@@ -10,6 +10,7 @@ from pydantic import BaseModel
 
 from acquisition.safety_state_machine import Safety
 from acquisition.worker_process import take_server_priority
+from app.host.clock import now_ms
 from app.host.logs import LogContext
 from app.index.store import Store
 from app.messages.alarms import AlarmKind
@@ -77,6 +78,7 @@ class ToolService:
         self.lab_sessions = sessions = LabSessions(plan.settings.laboratory, publisher, store)
         self._live_stream = live = LiveStream(plan, publisher, runs, annotations, metrics, log_context)
         is_replay = bool(plan.opened_recordings)
+        self._hello = build_hello(plan, plan.tool, recording=is_replay)  # once: it takes as long as a frame
         self.state = state = StateReporter(
             publisher,
             supervisor,
@@ -206,7 +208,8 @@ class ToolService:
             self._watchdog.forget(name)
         self.supervisor.use_tool(tool)
         self._checks.check_calibration()
-        for message in (build_hello(self.plan, tool), self.state.build(), *self.alarms.current_alarms()):
+        self._hello = build_hello(self.plan, tool)
+        for message in (self._hello, self.state.build(), *self.alarms.current_alarms()):
             self.viewer_hub.broadcast(message)
 
     def _on_death(self, worker: str, text: str) -> None:
@@ -262,9 +265,9 @@ class ToolService:
         A viewer that has received all events up to `after` gets those after it instead of the last run's grasps.
         """
         missed = None if after is None else self.viewer_hub.list_events_after(after)
-        hello = build_hello(self.plan, self.plan.tool, recording=bool(self.plan.opened_recordings))
+        now = {"server_time_ms": now_ms(), "resumed": None if after is None else missed is not None}
         messages: list[BaseModel] = [
-            hello.model_copy(update={"resumed": None if after is None else missed is not None}),
+            self._hello.model_copy(update=now),
             self.state.build().model_copy(update={"event_number": None}),
         ]
         if missed is not None:

@@ -72,6 +72,7 @@ class FrameBuffer:
         self._history_samples = history_samples
         self._pending: list[tuple[int, np.ndarray]] = []
         self._history: deque[tuple[int, np.ndarray]] = deque()
+        self._history_frames: list[bytes] | None = None  # packed once for viewers that come together
         self._kept_samples = 0
         self._sequence = 0
         self._newest_ms = 0.0
@@ -83,6 +84,8 @@ class FrameBuffer:
     def cut_frames(self) -> list[bytes]:
         """Return packed frames of the columns since the last cut: one, or several around missing ticks."""
         joined, self._pending = _join_consecutive(self._pending), []
+        if joined:
+            self._history_frames = None
         for first_tick, columns in joined:
             if self._history and first_tick < self._history[-1][0]:  # a new source counts from zero again
                 self._history.clear()
@@ -95,9 +98,10 @@ class FrameBuffer:
 
     def history_frames(self) -> list[bytes]:
         """Return the samples of the last seconds as binary WebSocket messages, for a viewer that connects later."""
-        return [
-            self._pack(FrameKind.HISTORY, tick, columns) for tick, columns in _join_consecutive(list(self._history))
-        ]
+        if self._history_frames is None:
+            joined = _join_consecutive(list(self._history))
+            self._history_frames = [self._pack(FrameKind.HISTORY, tick, columns) for tick, columns in joined]
+        return self._history_frames
 
     def _pack(self, kind: FrameKind, first_tick: int, columns: np.ndarray) -> bytes:
         self._sequence = (self._sequence + 1) % 2**32

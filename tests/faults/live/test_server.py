@@ -75,7 +75,8 @@ def test_a_hundred_viewers_of_which_ten_never_read_lose_no_sample_and_stop_works
     reactions.add("server: 100 viewers, 10 never read: STOP", "hold", took_ms, STOP_S * 1e3)
     assert took_ms <= STOP_S * 1e3
     assert min(crowd[WHO_NEVER_READ:]) > 30
-    assert service.http.get(f"/api/runs/{run['id']}").json()["state"] == "stopped"
+    ended = service.http.get(f"/api/runs/{run['id']}").json()
+    assert (ended["state"], ended["why"]) == ("stopped", "asked to stop")
     assert "graspwatch_lost_samples_total 0.0" in service.http.get("/metrics").text
 
 
