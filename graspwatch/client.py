@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator
 from http import HTTPStatus
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import httpx
 from pydantic import BaseModel
@@ -37,7 +37,11 @@ from graspwatch.frames import Frame
 from graspwatch.live_client import messages
 from graspwatch.rest_client import RestClient
 
+if TYPE_CHECKING:
+    import pyarrow
+
 ASK_AGAIN_S = 0.1
+TABLE_TIMEOUT_S = 600.0  # the service reads all recordings for it
 
 
 class Graspwatch:
@@ -164,9 +168,11 @@ class Graspwatch:
         """Return laboratory sessions, newest first; `question` as in `GET /api/lab-sessions`."""
         return await self._rest_client.ask(list[LabSession], "GET", "/api/lab-sessions", params=question)
 
-    async def state_truth(self, held: str | None, *, remark: GraspRemark | None = None) -> TruthStatement:
+    async def state_truth(
+        self, held: str | None, *, remark: GraspRemark | None = None, place: str | None = None
+    ) -> TruthStatement:
         """State what the jaws hold, for the grasp under way or the next one; `remark` is for that grasp alone."""
-        wanted = TruthRequest(held=held, remark=remark, by=self._by)
+        wanted = TruthRequest(held=held, remark=remark, place=place, by=self._by)
         return await self._rest_client.ask(TruthStatement, "POST", "/api/truth", wanted)
 
     async def truth(self, run: Run | str) -> list[GraspTruth]:
@@ -181,12 +187,13 @@ class Graspwatch:
         held: str | None,
         *,
         remark: GraspRemark | None = None,
+        place: str | None = None,
         version: int = 0,
         why: str | None = None,
     ) -> GraspTruth:
         """State or correct the ground truth of a finished grasp; `version` is that of the statement before, 0: none."""
         run_id = run if isinstance(run, str) else run.id
-        wanted = TruthCorrection(held=held, remark=remark, version=version, why=why, by=self._by)
+        wanted = TruthCorrection(held=held, remark=remark, place=place, version=version, why=why, by=self._by)
         return await self._rest_client.ask(GraspTruth, "PUT", f"/api/runs/{run_id}/grasps/{grasp}/truth", wanted)
 
     async def mark(self, text: str) -> Mark:
@@ -232,6 +239,13 @@ class Graspwatch:
         """Return the finished grasps of a run: label, probability, forces in N, times in s."""
         run_id = run if isinstance(run, str) else run.id
         return await self._rest_client.ask(list[Grasp], "GET", f"/api/runs/{run_id}/grasps")
+
+    async def grasp_table(self) -> "pyarrow.Table":
+        """Return the grasps of all recordings, as recorded: a row a grasp; `.to_pandas()` makes a data frame of it."""
+        from pyarrow import BufferReader, parquet  # slow imports, which few programs need
+
+        answer = await self._rest_client.request("GET", "/api/grasps.parquet", timeout=TABLE_TIMEOUT_S)
+        return parquet.read_table(BufferReader(answer.content))
 
     async def arm(self) -> SafetyReport:
         """Tare the tool and test it at rest. A start does the same unless the settings forbid it."""

@@ -79,6 +79,7 @@ RIGHTS: dict[tuple[str, str], Role | None] = {
     ("GET", "/api/journal"): Role.VIEWER,
     ("GET", "/api/audit"): Role.VIEWER,
     ("GET", "/api/grasps"): Role.VIEWER,
+    ("GET", "/api/grasps.{suffix}"): Role.VIEWER,
     ("GET", "/api/files"): Role.VIEWER,
     ("GET", "/api/tool"): Role.VIEWER,
     ("GET", "/api/protocols"): Role.VIEWER,

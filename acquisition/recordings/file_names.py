@@ -1,6 +1,7 @@
 """Functions for the names of recordings: their endings, and the rules for a run's name."""
 
 import unicodedata
+from pathlib import Path
 
 from config.errors import ConfigurationError
 
@@ -15,6 +16,11 @@ MAX_NAME_BYTES = 200  # with endings and additions of files beside it, a file sy
 def is_reference_run(run_id: str) -> bool:
     """Return whether a run is a reference grasp, whose jaws are empty."""
     return run_id.startswith(REFERENCE_ID_PREFIX)
+
+
+def list_run_files(folder: Path) -> list[Path]:
+    """Return the MCAP recordings in a folder, by name, without those of demonstrations."""
+    return sorted(path for path in folder.glob("*.mcap") if not path.name.startswith(DEMO_ID_PREFIX))
 
 
 def has_recording_suffix(name: str) -> bool:

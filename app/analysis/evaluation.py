@@ -1,6 +1,6 @@
 """The function behind `graspwatch evaluate`: how right and how honest answers are, by what was held."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,8 @@ from config.errors import ConfigurationError
 from estimator.decision import NO_ANSWER, NOT_NAMED, UNDECIDED, UNKNOWN
 from estimator.studies.html_page import Table
 from estimator.studies.probability_scores import CONFIDENCE_THRESHOLD, compute_reliability, score_answers
-from estimator.studies.study_report import PALETTE, TISSUE_COLORS, KeyFigure, StudyResult
+from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult
+from estimator.studies.tissue_colors import UNKNOWN_COLOR
 
 PROBABILITY_PREFIX = "probabilities_"
 LOG_LOSS_FLOOR = 0.001  # least probability of the truth, as in the study of spots
@@ -21,6 +22,9 @@ EXPLANATION = (
     "two tissues are left out, and so are invalid ones. A truth that the library does not know counts as `unknown`. "
     "Log loss has a floor of 0.001 for the probability of the truth. Times count from contact."
 )
+
+GROUPS = ("truth", "recording", "spot", "session", "subject", "tool")
+"""What figures are given by, in a table each, where there is more than one."""
 
 Row = Mapping[str, Any]
 
@@ -35,6 +39,8 @@ class JudgedGrasp:
     label: str
     probabilities: dict[str, float]
     decided_s: float | None
+    groups: dict[str, str]
+    """What the grasp belongs to, by the names of GROUPS."""
 
     @property
     def right_answer(self) -> str:
@@ -80,8 +86,10 @@ def evaluate_answers(groups: Mapping[str, Sequence[Row]], about: dict[str, Any])
     for name, grasps in judged.items():
         study.figures += _build_figures(f"{name}: " if len(groups) > 1 else "", grasps)
     for name, grasps in judged.items():
-        study.parts += [_build_confusion(name, grasps), _build_by("truth", name, grasps, lambda each: each.truth)]
-        study.parts.append(_build_by("recording", name, grasps, lambda each: each.recording))
+        study.parts.append(_build_confusion(name, grasps))
+        for what in GROUPS:
+            if what == "truth" or len({each.groups[what] for each in grasps}) > 1:
+                study.parts.append(_build_by(what, name, grasps))
         study.parts.append(_build_review_queue(name, grasps))
         study.parts.append(
             Table(f"Left out: {name}", ["grasps", "why"], [[n, why] for why, n in left_out[name].items()])
@@ -112,7 +120,16 @@ def _select(rows: Sequence[Row]) -> tuple[list[JudgedGrasp], dict[str, int]]:
             if name.startswith(PROBABILITY_PREFIX) and value is not None
         }
         kept.append(
-            JudgedGrasp(row["recording"], row["index"], truth, row["label"], probabilities, row["time_to_decision_s"])
+            JudgedGrasp(
+                row["recording"],
+                row["index"],
+                truth,
+                row["label"],
+                probabilities,
+                row["time_to_decision_s"],
+                {name: str(row[name] or "–") for name in GROUPS}
+                | {"truth": truth, "spot": f"{row['recording']}, {row['spot'] or '–'}"},
+            )
         )
     return kept, left_out
 
@@ -149,10 +166,10 @@ def _build_confusion(name: str, grasps: list[JudgedGrasp]) -> Table:
     return Table(f"What was answered: {name}", ["truth", "grasps", *answers], rows)
 
 
-def _build_by(what: str, name: str, grasps: list[JudgedGrasp], key: Callable[[JudgedGrasp], str]) -> Table:
+def _build_by(what: str, name: str, grasps: list[JudgedGrasp]) -> Table:
     rows = []
-    for group in sorted({key(each) for each in grasps}):
-        own = [each for each in grasps if key(each) == group]
+    for group in sorted({each.groups[what] for each in grasps}):
+        own = [each for each in grasps if each.groups[what] == group]
         named = [each for each in own if each.is_named]
         right = sum(each.label == each.right_answer for each in named)
         likeliest = sum(each.likeliest == each.right_answer for each in own)
@@ -177,7 +194,7 @@ def _build_review_queue(name: str, grasps: list[JudgedGrasp]) -> Table:
 
 def _plot_reliability(judged: Mapping[str, list[JudgedGrasp]]) -> go.Figure:
     figure = go.Figure()
-    line = {"color": TISSUE_COLORS["unknown"], "dash": "dot"}
+    line = {"color": UNKNOWN_COLOR, "dash": "dot"}
     figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", line=line, name="perfect calibration")
     for (name, grasps), color in zip(judged.items(), PALETTE, strict=False):
         confidence = np.array([each.probabilities[each.likeliest] for each in grasps])

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.grasp_collection import EstimationContext, collect, find_files, read_corrected_truths
+from app.cli.grasp_collection import collect, find_files, read_corrections
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR
 from app.cli.options import (
     DEFAULT_RECORDING_TOOL,
@@ -58,15 +58,16 @@ def evaluate(
     libraries = {name: load_library(name, own) for name in library or []}
     if len({each.name for each in libraries.values()}) < len(libraries):
         raise ConfigurationError("Two of the libraries have the same name. Rename one in its file.")
-    truths = read_corrected_truths(files, own, settings)
+
+    from app.analysis.evaluation import evaluate_answers
+    from app.analysis.grasp_collection import EstimationContext  # slow imports, made after the options are checked
+
+    corrections, named = read_corrections(files, own, settings), {*(recordings or []), *labels}
     groups = {
         each.name if each else AS_RECORDED.format(default.name): collect(
-            files, EstimationContext(log_tool, settings, each, each or default), truths, labels
+            files, EstimationContext(log_tool, settings, each, each or default), corrections, labels, named
         )
         for each in (libraries.values() if libraries else [None])
     }
-
-    from app.analysis.evaluation import evaluate_answers  # a slow import
-
     about = {"recordings": len(files), "tool": log_tool.name, "libraries": ", ".join(groups)}
     print_study(evaluate_answers(groups, about), out, as_json)

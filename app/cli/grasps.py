@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.cli.grasp_collection import EstimationContext, collect, find_files, read_corrected_truths
+from app.cli.grasp_collection import collect, find_files, read_corrections
 from app.cli.label_option import LABEL_HELP, LABEL_METAVAR
 from app.cli.options import (
     DEFAULT_RECORDING_TOOL,
@@ -90,9 +90,11 @@ def grasps(
     files, labels = find_files(recordings, label, everything=everything, data=data, settings=settings)
     named = load_library(library, own) if library else None
     log_tool, default = load_tool(tool or DEFAULT_RECORDING_TOOL, own), named or load_library(settings.library, own)
-    how = EstimationContext(log_tool, settings, named, default)
 
-    rows = collect(files, how, read_corrected_truths(files, own, settings), labels)
+    from app.analysis.grasp_collection import EstimationContext  # a slow import, made after the options are checked
+
+    how = EstimationContext(log_tool, settings, named, default)
+    rows = collect(files, how, read_corrections(files, own, settings), labels, {*(recordings or []), *labels})
     if not rows:
         raise RecordingError(f"None of the {len(files)} recordings has a grasp: nothing is written.")
     rows = _filter(rows, conditions)
@@ -144,16 +146,13 @@ def _read_value(example: object, where: str, text: str) -> object:
 
 
 def _write(rows: list["Row"], out: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet
+    from app.analysis.grasp_collection import build_table, write_table
 
-    names = dict.fromkeys(name for row in rows for name in row)
-    table = pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows])
+    table = build_table(rows)
     part = out.with_name(f".{out.name}.part")
     with explain_write_errors(out):
         try:
-            (pyarrow.csv.write_csv if out.suffix == ".csv" else pyarrow.parquet.write_table)(table, part)
+            write_table(table, out.suffix, part)
             part.rename(out)
         finally:
             part.unlink(missing_ok=True)

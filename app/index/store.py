@@ -1,8 +1,9 @@
 """The class Store, which puts records into the index and finds them. It blocks; IndexWriter is for the event loop."""
 
 import contextlib
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from sqlalchemy import URL, Select, func, select
@@ -36,6 +37,15 @@ class Page(Generic[M]):
 
     items: list[M]
     total: int
+
+
+@dataclass(slots=True)
+class RunSummary:
+    """What a list shows of a run: subject, answers of its grasps in order, and what people say was held, each once."""
+
+    subject: str | None = None
+    labels: list[str] = field(default_factory=list)
+    held: list[str] = field(default_factory=list)
 
 
 class Store:
@@ -138,6 +148,27 @@ class Store:
             rows = session.scalars(select(TruthRow).where(TruthRow.run_id == run_id).order_by(TruthRow.grasp))
             return [read_stored(GraspTruth, row.message) for row in rows]
 
+    def summarize_runs(self) -> dict[str, RunSummary]:
+        """Return what a list shows of each run: whose it is, what was answered, and what was held."""
+        grasps = select(GraspRow.run_id, GraspRow.label).order_by(GraspRow.run_id, GraspRow.index)
+        truths = select(TruthRow.run_id, TruthRow.held, TruthRow.remark).order_by(TruthRow.run_id, TruthRow.grasp)
+        subjects = select(RunRow.id, LabSessionRow.subject).join(LabSessionRow, LabSessionRow.id == RunRow.session)
+        found: defaultdict[str, RunSummary] = defaultdict(RunSummary)
+        with explain_database_errors(self.url), self._engine.connect() as connection:
+            for run_id, label in connection.execute(grasps):
+                found[run_id].labels.append(label)
+            for run_id, *stated in connection.execute(truths):
+                held = found[run_id].held
+                held += [each for each in stated if each and each not in held]
+            for run_id, subject in connection.execute(subjects):
+                found[run_id].subject = subject
+        return dict(found)
+
+    def list_truths(self) -> list[GraspTruth]:
+        """Return the stated ground truth of all runs."""
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            return [read_stored(GraspTruth, row.message) for row in session.scalars(select(TruthRow))]
+
     def list_run_marks(self, run_id: str) -> list[Mark]:
         """Return the marks of a run by their time, without deleted ones."""
         if "\0" in run_id:
@@ -153,6 +184,11 @@ class Store:
     def find_lab_sessions(self, query: LabSessionQuery) -> Page[LabSession]:
         rows, total = self._fetch_page(queries.select_lab_sessions(query), query)
         return Page([read_stored(LabSession, row.message) for row in rows], total)
+
+    def list_lab_sessions(self) -> list[LabSession]:
+        """Return all laboratory sessions."""
+        with explain_database_errors(self.url), Session(self._engine) as session:
+            return [read_stored(LabSession, row.message) for row in session.scalars(select(LabSessionRow))]
 
     def get_lab_session(self, session_id: str) -> LabSession | None:
         row = self._get_row(LabSessionRow, session_id)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from acquisition.recordings.mcap_layout import RECORDED_AT_METADATA, SESSION_ATTACHMENT
-from acquisition.recordings.mcap_reader import JsonMessage, McapFile
+from acquisition.recordings.mcap_reader import COPY_AGAIN_TEXT, JsonMessage, McapFile
 from app.messages.annotations import GraspTruth
 from app.messages.grasps import GraspEnded, Identification
 from app.messages.journal import JournalEntry
@@ -18,6 +18,7 @@ from config.errors import RecordingError
 from estimator.estimate_block import GraspRecord, SpotVerdict
 
 Row = dict[str, Any]
+TIME_COLUMNS = ("start_s", "contact_s", "end_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,8 @@ class RecordedGrasps:
     grasps: tuple[GraspRecord, ...]
     spots: tuple[SpotVerdict, ...]
     truths: dict[int, GraspTruth]
+    run_start_s: float
+    """Time of the run's first sample, by the clock of the grasps' times."""
 
 
 def read_recorded_grasps(path: Path) -> RecordedGrasps:
@@ -58,6 +61,10 @@ def read_recorded_grasps(path: Path) -> RecordedGrasps:
     """
     container = McapFile(path)
     about = container.metadata
+    try:
+        run_start_s = int(about["run_first_tick"]) / float(about["sample_rate_hz"])
+    except (KeyError, ValueError, ArithmeticError):
+        raise RecordingError(f"{path}: does not say where its run begins. {COPY_AGAIN_TEXT}") from None
     grasps: dict[int, GraspRecord] = {}
     truths: dict[int, GraspTruth] = {}
     spots: tuple[SpotVerdict, ...] = ()
@@ -81,12 +88,7 @@ def read_recorded_grasps(path: Path) -> RecordedGrasps:
     context = GraspContext(
         recording=path.name,
         run_id=about.get("run_id"),
-        session=session.id if session else None,
-        subject=session.subject if session else None,
-        species=session.species if session else None,
-        specimen=session.specimen if session else None,
-        condition=session.condition.value if session else None,
-        operator=session.operator if session else None,
+        **session_columns(session),
         recorded_at=about.get(RECORDED_AT_METADATA) or (run.started_at if run else None),
         protocol=about.get("protocol"),
         tissue=about.get("tissue") or None,
@@ -94,7 +96,7 @@ def read_recorded_grasps(path: Path) -> RecordedGrasps:
         library=about.get("library"),
         force_scale=about.get("force_scale"),
     )
-    return RecordedGrasps(context, tuple(grasps.values()), spots, truths)
+    return RecordedGrasps(context, tuple(grasps.values()), spots, truths, run_start_s)
 
 
 def _read_lab_session(container: McapFile) -> LabSession | None:
@@ -110,13 +112,18 @@ def _read_lab_session(container: McapFile) -> LabSession | None:
         raise RecordingError(f"{container.path}: its laboratory session cannot be read ({error}).") from None
 
 
-def read_run_id(path: Path) -> str:
-    """Return the id of the run that a recording is of; its file may have another name.
-
-    Raises:
-        RecordingError: it cannot be read.
-    """
-    return McapFile(path).metadata.get("run_id", path.stem)
+def session_columns(session: LabSession | None) -> dict[str, str | None]:
+    """Return the columns of a laboratory session, named as in `GraspContext`."""
+    if session is None:
+        return {}
+    return {
+        "session": session.id,
+        "subject": session.subject,
+        "species": session.species,
+        "specimen": session.specimen,
+        "condition": session.condition.value,
+        "operator": session.operator,
+    }
 
 
 def newest(known: GraspTruth | None, other: GraspTruth) -> GraspTruth:
@@ -125,9 +132,16 @@ def newest(known: GraspTruth | None, other: GraspTruth) -> GraspTruth:
 
 
 def build_grasp_rows(
-    context: GraspContext, grasps: Iterable[GraspRecord], spots: Sequence[SpotVerdict], truths: dict[int, GraspTruth]
+    context: GraspContext,
+    grasps: Iterable[GraspRecord],
+    spots: Sequence[SpotVerdict],
+    truths: dict[int, GraspTruth],
+    run_start_s: float,
 ) -> list[Row]:
-    """Return a row for each grasp. Names carry their units; each tissue's value has a column of its own."""
+    """Return a row for each grasp. Names carry their units; each tissue's value has a column of its own.
+
+    `start_s`, `contact_s` and `end_s` count from the first sample of the run, which is at `run_start_s` of the records.
+    """
     rows = []
     for grasp in grasps:
         truth = truths.get(grasp.index)
@@ -136,13 +150,16 @@ def build_grasp_rows(
         row |= {
             "truth": truth.held if truth else None,
             "truth_remark": truth.remark.value if truth and truth.remark else None,
+            "truth_place": truth.place if truth else None,
             "truth_by": truth.by if truth else None,
             "truth_version": truth.version if truth else None,
             "spot": spot.index if spot else None,
             "spot_label": spot.label if spot else None,
             "spot_probability": spot.probability if spot else None,
         }
-        rows.append(row | flatten_grasp(grasp))
+        times = {name: getattr(grasp, name) for name in TIME_COLUMNS}
+        since_start = {name: None if at is None else at - run_start_s for name, at in times.items()}
+        rows.append(row | flatten_grasp(grasp) | since_start)
     return rows
 
 

@@ -1,5 +1,6 @@
 """Laboratory sessions: begun, changed and ended; runs belong to them; they outlive a restart and a rebuild."""
 
+import asyncio
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ from acquisition.recordings.mcap_reader import McapFile
 from app.messages.lab_sessions import LabSession
 from app.messages.stored import read_stored
 from config.load import CONFIG_DIR
+from graspwatch import Graspwatch
 
 PATH = "/api/lab-sessions"
 PIG: dict[str, Any] = {"subject": "P-12", "species": "pig", "condition": "in vivo", "operator": "Ada", "by": "Ada"}
@@ -56,6 +58,40 @@ def test_runs_belong_to_the_session_under_way(service: Service) -> None:
     assert service.http.delete(f"{PATH}/current").json()["id"] == other["id"]
     assert service.http.delete(f"{PATH}/current").status_code == 404
     assert state(service)["session"] is None
+
+
+def test_the_table_of_all_grasps_has_what_was_said_since(service: Service) -> None:
+    session = service.http.post(PATH, json=PIG).json()
+    run = service.finished(service.run(protocol="trapezoid_4hz", cycles=2)["id"])
+    service.recorded(run["id"])
+    until(lambda: len(service.http.get(f"/api/runs/{run['id']}/grasps").json()) == 2)
+    service.http.put(f"/api/runs/{run['id']}/grasps/2/truth", json={"held": "liver", "version": 0, "by": "Ada"})
+    service.http.put(f"{PATH}/{session['id']}", json={**PIG, "subject": "P-21", "version": 1})
+
+    async def fetch() -> list[dict[str, Any]]:
+        async with Graspwatch(service.url) as tool:
+            return (await tool.grasp_table()).to_pylist()
+
+    rows = [row for row in asyncio.run(fetch()) if row["run_id"] == run["id"]]
+    assert [(row["index"], row["truth"], row["subject"]) for row in rows] == [(1, None, "P-21"), (2, "liver", "P-21")]
+    assert 0.0 < rows[0]["start_s"] < rows[0]["end_s"] < rows[1]["start_s"] < 10.0  # from the run's start on
+
+    def find(text: str) -> list[dict[str, Any]]:
+        return service.http.get("/api/recordings", params={"q": text}).json()["recordings"]
+
+    [listed] = find("p-21 liver")
+    assert (listed["run_id"], listed["subject"], listed["held"]) == (run["id"], "P-21", ["liver"])
+    assert len(listed["labels"]) == 2
+    assert find("p-21 kidney") == []
+
+    broken = service.data / "recordings/broken.mcap"
+    broken.write_bytes(b"no recording")
+    answer = service.http.get("/api/grasps.csv")
+    broken.unlink()
+    assert answer.headers["X-Left-Out"] == "1"
+    assert "grasps.csv" in answer.headers["Content-Disposition"]
+    assert answer.text.splitlines()[0].startswith('"recording","run_id"')
+    assert service.http.get("/api/grasps.xlsx").status_code == 422
 
 
 def test_a_change_has_a_version_and_a_name_is_no_code(service: Service) -> None:

@@ -1,10 +1,14 @@
 """Routes that query the index, which covers earlier services too: grasps, alarms, journal lines and recordings."""
 
-from typing import Annotated, TypeVar
+import asyncio
+from typing import Annotated, Literal, TypeVar
 
 from fastapi import APIRouter, Query, Request, Response
 
+from acquisition.recordings.file_names import list_run_files
+from app.analysis.grasp_collection import Corrections, send_grasp_table
 from app.api.dependencies import ToolServiceDep
+from app.host.background_process import run_in_background_process
 from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE
 from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery
@@ -18,6 +22,8 @@ from app.people.authorization import require_role
 
 router = APIRouter(prefix="/api", tags=["history"], responses={503: {"description": "No index", **PROBLEM_RESPONSE}})
 T = TypeVar("T")
+TABLE_TYPES = {"parquet": "application/vnd.apache.parquet", "csv": "text/csv"}
+_table_lock = asyncio.Lock()
 
 
 @router.get("/grasps", dependencies=[require_role(Role.VIEWER)])
@@ -27,6 +33,44 @@ async def list_grasps(
     """List the grasps of all runs, newest first by default."""
     found = await tool_service.index_writer.query(tool_service.index_writer.store.find_grasps, query)
     return _return_page(request, response, query, found)
+
+
+@router.get(
+    "/grasps.{suffix}",
+    dependencies=[require_role(Role.VIEWER)],
+    response_class=Response,
+    responses={
+        200: {
+            "description": "The table, as a file",
+            "content": {
+                media_type: {"schema": {"type": "string", "format": "binary"}} for media_type in TABLE_TYPES.values()
+            },
+            "headers": {"X-Left-Out": {"description": "Recordings that cannot be read", "schema": {"type": "integer"}}},
+        }
+    },
+)
+async def download_grasp_table(tool_service: ToolServiceDep, suffix: Literal["parquet", "csv"]) -> Response:
+    """Return one table of the grasps of all recordings in the data folder: a row a grasp, as recorded.
+
+    It has the columns of `graspwatch grasps`. Demonstrations are left out. It takes about a second for 30 recordings.
+    """
+    writer = tool_service.index_writer
+    async with _table_lock:  # one after the other: a process for each request would slow a live tool
+        corrections = await writer.query(Corrections.from_index, writer.store)
+        paths = await asyncio.to_thread(list_run_files, tool_service.plan.recordings_folder)
+        found: list[tuple[bytes, list[str]]] = []
+        await run_in_background_process(
+            "table",
+            send_grasp_table,
+            paths,
+            corrections,
+            f".{suffix}",
+            on_message=found.append,
+            advice="Ask for it again, or use `graspwatch grasps` with some of the recordings.",
+        )
+    content, left_out = found[0]
+    headers = {"Content-Disposition": f'attachment; filename="grasps.{suffix}"', "X-Left-Out": str(len(left_out))}
+    return Response(content, media_type=TABLE_TYPES[suffix], headers=headers)
 
 
 @router.get("/alarms/history", dependencies=[require_role(Role.VIEWER)])

@@ -23,7 +23,7 @@ def rows(*grasps: tuple[str | None, str, float], remark: GraspRemark | None = No
         truths[index] = GraspTruth(
             run_id="1", grasp=index, held=held, remark=remark, version=1, by="Ada", at="2026-11-30", why=None
         )
-    return build_grasp_rows(GraspContext(recording="a.mcap", run_id="1"), records, (), truths)
+    return build_grasp_rows(GraspContext(recording="a.mcap", run_id="1"), records, (), truths, 0.0)
 
 
 def figures(study: Any) -> dict[str, float]:
@@ -69,6 +69,16 @@ def test_grasps_that_nobody_can_judge_are_left_out_and_told() -> None:
     ]
     with pytest.raises(ConfigurationError, match=r"No grasp can be judged \(1 without a truth\)"):
         evaluate_answers({"porcine": rows((None, "liver", 0.9))}, ABOUT)
+
+
+def test_figures_are_given_by_session_where_there_are_several() -> None:
+    found = rows(("liver", "liver", 0.99), ("liver", "bladder", 0.8))
+    titles = [getattr(part, "title", "") for part in evaluate_answers({"porcine": found}, ABOUT).parts]
+    assert "By session: porcine" not in titles
+    for row, session in zip(found, ("S1", "S2"), strict=True):
+        row["session"] = session
+    by_session = table(evaluate_answers({"porcine": found}, ABOUT), "By session")
+    assert [row[:5] for row in by_session] == [["S1", 1, 1, 1, 0], ["S2", 1, 0, 0, 1]]
 
 
 def test_two_libraries_stand_side_by_side() -> None:

@@ -69,7 +69,8 @@ def test_the_table_is_filtered_and_estimated_anew(data: Path, tmp_path: Path) ->
     (tmp_path / "grasps.parquet").unlink()
     anew = table(data, tmp_path, "--library", "porcine", "--where", "index>=2")
     assert [row["label"] for row in anew] == [row["label"] for row in as_recorded]
-    assert [row["dose_n_s"] for row in anew] == pytest.approx([row["dose_n_s"] for row in as_recorded])
+    for name in ("dose_n_s", "start_s", "contact_s", "end_s"):  # times count from the run's first sample in both
+        assert [row[name] for row in anew] == pytest.approx([row[name] for row in as_recorded])
     for row in anew:  # 3 V for a quarter of a second: the dose is at most the peak over the whole grasp
         assert 0.0 < row["dose_n_s"] < row["peak_force_n"] * (row["end_s"] - row["start_s"])
         assert row["time_above_s_low"] >= row["time_above_s_high"] >= 0.0
@@ -83,6 +84,19 @@ def test_the_table_is_filtered_and_estimated_anew(data: Path, tmp_path: Path) ->
     ):
         refused = graspwatch("grasps", "--all", "--data", data, *words)
         assert (refused[0], told in refused[2]) == (2, True), refused
+
+
+def test_a_recording_that_cannot_be_read_is_left_out_of_all_and_refused_by_name(data: Path, tmp_path: Path) -> None:
+    broken = data / "recordings/third.mcap"
+    broken.write_bytes(b"no recording")
+    try:
+        code, told, errors = graspwatch("grasps", "--all", "--data", data)
+        assert (code, "3 grasps" in told) == (0, True), errors
+        assert f"Left out: {broken}" in errors
+        code, _, errors = graspwatch("grasps", "--all", broken, "--data", data)
+        assert (code, str(broken) in errors) == (3, True)
+    finally:
+        broken.unlink()
 
 
 def test_answers_are_judged_by_the_labels(data: Path, tmp_path: Path) -> None:
