@@ -112,9 +112,11 @@ class RecorderStatus:
 
 @dataclass(frozen=True, slots=True)
 class RecordingFileComplete:
-    """Notice that a recording file is complete and can be indexed."""
+    """Notice that a recording file is complete and can be indexed; `sha256` is None if it could not be completed."""
 
     file: str
+    size_bytes: int
+    sha256: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +124,8 @@ class RecordingRecovered:
     """Notice that a recording file, which an earlier recorder left cut off, has been repaired."""
 
     file: str
+    size_bytes: int
+    sha256: str
 
 
 @dataclass(frozen=True, slots=True)

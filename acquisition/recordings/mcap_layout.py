@@ -24,6 +24,7 @@ TOOL_ATTACHMENT, LIBRARY_ATTACHMENT, SETTINGS_ATTACHMENT, PROTOCOL_ATTACHMENT, V
     "versions",
 )
 SESSION_ATTACHMENT = "session.json"
+MANIFEST_ATTACHMENT = "manifest.json"
 REFERENCE_ATTACHMENT = "reference.json"  # the reference grasp of the day; a file without one lacks it
 
 RAW_TOPIC, CONDITIONED_TOPIC, ESTIMATES_TOPIC = "/raw", "/conditioned", "/estimates"

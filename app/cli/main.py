@@ -24,6 +24,7 @@ from app.cli.report import report
 from app.cli.run import run
 from app.cli.serve import serve
 from app.cli.support import support
+from app.cli.verify import verify
 from app.host.process_end import discard_output
 from config.errors import GraspwatchError
 from config.home_folder import expand_home_in_argument
@@ -46,7 +47,7 @@ app.add_typer(people.app, name="token")
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(tool.app, name="tool")
 app.command("import")(import_)
-for command in (export, label, check, bench, support):
+for command in (export, label, verify, check, bench, support):
     app.command()(command)
 app.command(cls=LabelCommand)(report)
 app.command(cls=LabelCommand)(grasps)

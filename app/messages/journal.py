@@ -10,7 +10,7 @@ from app.messages.alarms import Alarm
 from app.messages.annotations import GraspTruth, Mark
 from app.messages.base import Message, Record
 from app.messages.lab_sessions import LabSession
-from app.messages.recordings import FileRecord
+from app.messages.recordings import CompletedFile, FileRecord
 from app.messages.runs import Run
 from estimator.force_alarms import Priority
 
@@ -68,6 +68,7 @@ class JournalEntry(Record):
     truth: GraspTruth | None = Field(default=None, description="The ground truth that was stated or corrected")
     mark: Mark | None = Field(default=None, description="The mark that was set, changed or deleted")
     lab_session: LabSession | None = Field(default=None, description="The laboratory session in this version")
+    completed: CompletedFile | None = Field(default=None, description="The recording that was completed")
     action: str | None = Field(default=None, description="Requested action: the name of the route or of the command")
     client: str | None = Field(default=None, description="Address that the request came from")
     result: Result | None = None

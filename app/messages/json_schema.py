@@ -35,7 +35,7 @@ from app.messages.lab_sessions import LabSession, LabSessionChange, LabSessionRe
 from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, FrameReceived, ReplayControl, ServerMessage
 from app.messages.named_files import FileCheck, FileContent, FileList, FileRequest, FileText, ToolDraftReport
 from app.messages.people import ControlInfo, ControlRequest, SessionInfo, SignIn
-from app.messages.recordings import BinContent, FileRecord, Recordings
+from app.messages.recordings import BinContent, FileRecord, Recordings, RunManifest
 from app.messages.runs import DeclineRequest, Run, RunRequest, SpotRequest, StopAnswer, StopRequest
 from app.messages.studies import Studies, StudyRequest, StudyRun
 from app.messages.system import Health, Problem, System
@@ -103,6 +103,7 @@ STORED: tuple[type[Record], ...] = (
     Identification,
     JournalEntry,
     FileRecord,
+    RunManifest,
     StudyRun,
 )
 

@@ -33,6 +33,28 @@ class FileRecord(Record):
     deleted_by: str | None = None
 
 
+class RunManifest(Record):
+    """How a run was recorded: software, machine, and the SHA-256 of all that went in."""
+
+    metadata: dict[str, str] = Field(description="The metadata `graspwatch` of the file: run, tool, library, operator")
+    commit: str | None = Field(
+        description="Commit of the program's source; it ends with `-dirty` if files differed from it; null: not known"
+    )
+    versions: dict[str, str] = Field(description="Versions of Graspwatch, Python and the computing packages")
+    system: str = Field(description="Operating system")
+    session: str | None = Field(description="Id of the laboratory session")
+    realtime: dict[str, str] = Field(description="Scheduling that the system granted each process, as far as known")
+    sha256: dict[str, str] = Field(description="SHA-256 of each attachment, hexadecimal")
+
+
+class CompletedFile(Record):
+    """A recording's file as it was when it was completed."""
+
+    name: str
+    size_bytes: int
+    sha256: str = Field(description="SHA-256 of the whole file, hexadecimal")
+
+
 class RecordingInfo(Message):
     """A file of the recordings folder."""
 
@@ -49,6 +71,9 @@ class RecordingInfo(Message):
     protocol: str | None
     tissue: str | None = Field(description="Tissue given in the request for the run")
     by: str | None
+    subject: str | None = Field(default=None, description="Subject of its laboratory session")
+    labels: list[str] = Field(default=[], description="Answers of its grasps, in order, as far as the index knows them")
+    held: list[str] = Field(default=[], description="What people say was held, each tissue or remark once")
 
 
 class Recordings(Message):

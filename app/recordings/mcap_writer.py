@@ -2,16 +2,16 @@
 
 import contextlib
 import fcntl
+import hashlib
+import io
 import json
 import os
-import platform
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -23,6 +23,7 @@ from acquisition.recordings.protobuf_rows import RowLayout
 from acquisition.recordings.recording import read_recorded_tool
 from acquisition.sample_block import SampleBlock
 from app import __version__
+from app.recordings.manifest import build_manifest, collect_versions
 from app.recordings.topics import SCHEMA_NAMES, TOPIC_MODELS, build_json_schema
 from config.errors import RecordingError
 from config.schema import Settings, TissueLibrary, Tool
@@ -35,7 +36,6 @@ FLUSH_PERIOD_S = 0.25
 MAX_BLOCKS_PER_FLUSH = 200  # three times the blocks that arrive between two flushes
 SYNC_TIMEOUT_S = 2.0
 """Time that a disk may take for a flush; after it, the next flush waits for the disk and the recorder falls silent."""
-VERSIONED_PACKAGES = ("numpy", "scipy", "numba", "nidaqmx", "mcap")  # their versions affect the recorded values
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +76,22 @@ class RecordingContext:
         }
 
 
-def collect_versions() -> dict[str, str]:
-    """Return the versions of Graspwatch, Python and the computing packages."""
-    return {"graspwatch": __version__, "python": platform.python_version(), "machine": platform.machine()} | {
-        name: version(name) for name in VERSIONED_PACKAGES
-    }
+class HashingFile(io.FileIO):
+    """A file that is written from its beginning to its end, and the SHA-256 of what was written."""
+
+    def __init__(self, path: Path) -> None:
+        """Create the file.
+
+        Raises:
+            OSError: it cannot be created, or exists.
+        """
+        super().__init__(path, "xb")
+        self.sha256 = hashlib.sha256()
+
+    def write(self, data: Any, /) -> int:
+        written = super().write(data)
+        self.sha256.update(memoryview(data)[:written])
+        return written
 
 
 class McapRunWriter:
@@ -93,8 +104,13 @@ class McapRunWriter:
         metadata: Mapping[str, str],
         attachments: Mapping[str, bytes],
         wall_offset_ns: int,
+        *,
+        session: str | None = None,
+        realtime: Mapping[str, str] | None = None,
     ) -> None:
         """`metadata`: run id, first tick of the run and the like; `wall_offset_ns`: from `t_mono_ns` to ns since 1970.
+
+        `session` (a laboratory session's id) and `realtime` (scheduling granted to each process) are for the manifest.
 
         Raises:
             OSError: the file cannot be created; an existing file is never overwritten.
@@ -107,27 +123,36 @@ class McapRunWriter:
         self._clock_anchor: tuple[int, int] | None = None  # a tick and its time, ns since 1970
         self._pending_samples: list[SampleBlock] = []  # until the next flush
         self._pending_estimates: list[PublishedEstimates] = []
-        self._file = path.open("xb")
+        self._hashing_file = HashingFile(path)
+        self._file = io.BufferedWriter(self._hashing_file)
         self._sync_executor = ThreadPoolExecutor(1, "disk")
         self._sync_future: Future[None] | None = None  # the last sync
         self._sync_started_s = 0.0
         try:
-            self._begin_file(recording_context, metadata, attachments)
+            self._begin_file(recording_context, metadata, attachments, session, realtime or {})
         except BaseException:  # a file that does not even begin is of no use, and would be in the way of another try
             self.abandon()
             path.unlink(missing_ok=True)
             raise
 
     def _begin_file(
-        self, recording_context: RecordingContext, metadata: Mapping[str, str], attachments: Mapping[str, bytes]
+        self,
+        recording_context: RecordingContext,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes],
+        session: str | None,
+        realtime: Mapping[str, str],
     ) -> None:
         """Write what the file says of itself, and declare its topics."""
         fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until this process closes it or dies
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(mcap_layout.PROFILE, f"graspwatch {__version__}")
-        self._writer.add_metadata(mcap_layout.METADATA_NAME, self._build_metadata(recording_context, metadata))
-        now_ns = time.time_ns()
-        for name, data in {**recording_context.attachments(), **attachments}.items():
+        metadata = self._build_metadata(recording_context, metadata)
+        self._writer.add_metadata(mcap_layout.METADATA_NAME, metadata)
+        now_ns, attachments = time.time_ns(), {**recording_context.attachments(), **attachments}
+        manifest = build_manifest(metadata, attachments, session, realtime)
+        attachments[mcap_layout.MANIFEST_ATTACHMENT] = manifest.model_dump_json(indent=2).encode()
+        for name, data in attachments.items():
             self._writer.add_attachment(now_ns, now_ns, name, "application/json", data)
         self._layouts = row_layouts(self._tissues)
         self._row_channels = {topic: self._register_channel(topic, rows) for topic, rows in self._layouts.items()}
@@ -233,8 +258,8 @@ class McapRunWriter:
         ):
             add(channel, at, data[i * size : (i + 1) * size], published, sequence)
 
-    def close(self, **end_metadata: str) -> None:
-        """Complete the file with the run's end.
+    def close(self, **end_metadata: str) -> str:
+        """Complete the file with the run's end; return its SHA-256.
 
         Raises:
             OSError: the disk is full or gone; the file is readable up to its last flush.
@@ -249,6 +274,7 @@ class McapRunWriter:
             self._writer.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
+            return self._hashing_file.sha256.hexdigest()
         finally:
             self.abandon()
 

@@ -11,6 +11,7 @@ from acquisition.recordings import mcap_layout
 from acquisition.recordings.file_names import DEMO_ID_PREFIX
 from acquisition.sample_block import SampleBlock
 from app.host.disk import free_bytes
+from app.messages.lab_sessions import LabSession
 from app.messages.runs import Run, RunState
 from app.messages.stored import read_stored
 from app.recordings.mcap_writer import FLUSH_PERIOD_S, RECORDING_SUFFIX, McapRunWriter, RecordingContext
@@ -55,7 +56,9 @@ class Recorder:
         self._acquisition_run_end: Run | None = None  # the same with the end that the acquisition reported
         self._last_flush_s = 0.0
         self.file: McapRunWriter | None = None
-        self.finished_files: list[Path] = []  # since the worker last cleared it
+        self.realtime: dict[str, str] = {}  # scheduling that the system granted each process, for the manifest
+        self.finished_files: dict[Path, str | None] = {}
+        """Files that were finished since the worker last cleared this, with their SHA-256; None: not complete."""
 
     def announce_run(self, run_metadata: RunMetadata) -> None:
         """Store the description of a run that is about to begin."""
@@ -134,9 +137,9 @@ class Recorder:
             self.add_message(RUN_TOPIC, encode_message(untold))
         file, self.file, self._end_tick = self.file, None, None
         self._early_estimates.clear()
-        self.finished_files.append(file.path)
+        self.finished_files[file.path] = None
         try:
-            file.close(why=why) if why else file.close()
+            self.finished_files[file.path] = file.close(why=why) if why else file.close()
         except OSError as error:
             raise self._make_stopped_error(file.path, error) from None
         if file.path.name.startswith(DEMO_ID_PREFIX):
@@ -163,7 +166,7 @@ class Recorder:
             "first_tick": str(int(first.samples["tick"][0])),
             "wall_offset_ns": str(self._wall_offset_ns),
         }
-        attachments = {}
+        attachments, session = {}, None
         if known:
             about |= {"cycles": str(known.cycles), "tissue": known.tissue or "", "by": known.by or ""}
             about["protocol"] = GraspProtocol.model_validate_json(known.protocol).name
@@ -172,11 +175,20 @@ class Recorder:
                 attachments[mcap_layout.REFERENCE_ATTACHMENT] = known.reference.encode()
             if known.session:
                 attachments[mcap_layout.SESSION_ATTACHMENT] = known.session.encode()
+                session = read_stored(LabSession, known.session).id
         path = self._find_unused_path(block.run)
         if path.stem != block.run:
             about["continues"] = block.run
         try:
-            self.file = McapRunWriter(path, self._recording_context, about, attachments, self._wall_offset_ns)
+            self.file = McapRunWriter(
+                path,
+                self._recording_context,
+                about,
+                attachments,
+                self._wall_offset_ns,
+                session=session,
+                realtime=self.realtime,
+            )
         except OSError as error:
             raise self._make_stopped_error(path, error) from None
         for before in self._recent_blocks:
@@ -214,7 +226,7 @@ class Recorder:
         except OSError as error:
             file, self.file = self.file, None
             file.abandon()
-            self.finished_files.append(path)
+            self.finished_files[path] = None
             raise self._make_stopped_error(path, error) from None
         if free is not None and free < self._recording_settings.least_free_bytes:
             self.close_file("the disk is nearly full")

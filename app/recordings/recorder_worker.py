@@ -10,6 +10,8 @@ import zmq
 
 from acquisition import bus
 from acquisition.notices import (
+    Acquiring,
+    Estimating,
     Notice,
     RecorderStatus,
     RecordingFileComplete,
@@ -22,6 +24,7 @@ from acquisition.worker_life import begin_worker
 from acquisition.worker_process import ProcessEndFlag, limit_memory, take_server_priority
 from app.messages.runs import RunState
 from app.recordings.file_repair import recover_folder
+from app.recordings.manifest import find_commit, sha256_hex
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.recorder import Recorder, RecordingStoppedError
 from config.schema import Tool
@@ -70,8 +73,10 @@ class _RecorderWorker:
 
     def run(self, sources: zmq.Socket, stop: ProcessEndFlag) -> None:
         """Run until the flag is set, then complete the file."""
+        find_commit()  # for the manifests: it may take longer than a run's start allows
         for path in recover_folder(self._setup.folder):
-            self._publish_notice(RecordingRecovered(path.name))
+            content = path.read_bytes()
+            self._publish_notice(RecordingRecovered(path.name, len(content), sha256_hex(content)))
         while not stop.is_set:
             if not self._read_messages(sources):
                 time.sleep(READ_PERIOD_S)
@@ -116,14 +121,18 @@ class _RecorderWorker:
                 match bus.unpack_notice(parts):
                     case RunMetadata() as announced:
                         self._recorder.announce_run(announced)
+                    case Acquiring() as notice:
+                        self._recorder.realtime["acquisition"] = notice.realtime
+                    case Estimating() as notice:
+                        self._recorder.realtime["estimator"] = notice.realtime
                     case RunEnded() as ended:
                         self._recorder.on_run_ended(ended.run_id, RunState(ended.end), ended.why)
 
     def _publish_status(self) -> None:
         """Publish the recorder's state, which is also its sign of life."""
         self._last_status_s = time.monotonic()
-        for path in self._recorder.finished_files:
-            self._publish_notice(RecordingFileComplete(path.name))
+        for path, sha256 in self._recorder.finished_files.items():
+            self._publish_notice(RecordingFileComplete(path.name, path.stat().st_size if path.exists() else 0, sha256))
         self._recorder.finished_files.clear()
         file = self._recorder.file
         self._publish_notice(

@@ -4,9 +4,13 @@ import asyncio
 from pathlib import Path
 
 from acquisition.notices import Notice, RecorderStatus, RecordingFileComplete, RecordingRecovered, RecordingStopped
+from acquisition.recordings.file_names import DEMO_ID_PREFIX
+from app.messages.journal import JournalKind
 from app.messages.live import RECORDER_OFF, RecordingState
-from app.messages.recordings import FileRecord
+from app.messages.recordings import CompletedFile, FileRecord
 from app.recordings.index_reader import read_file_record
+from app.recordings.manifest import sha256_hex
+from app.recordings.verification import read_complete_file
 from app.service.publisher import Publisher
 from config.service_plan import ServicePlan
 from estimator.force_alarms import Priority
@@ -27,13 +31,22 @@ class RecorderLink:
                 self._update_state(notice)
             case RecordingFileComplete():
                 self._index_file(self._recordings_folder / notice.file)
+                if notice.sha256:
+                    self._write_completed(notice.file, notice.size_bytes, notice.sha256)
             case RecordingRecovered():
                 self._publisher.publish_event(f"The recording {notice.file} had been cut off, and was made whole")
                 self._index_file(self._recordings_folder / notice.file)
+                self._write_completed(notice.file, notice.size_bytes, notice.sha256)
             case RecordingStopped():
                 self._mark_stopped(notice.text)
                 self._alarms.raise_technical("recording", Priority.MEDIUM, notice.text)
                 self._publisher.publish_event(notice.text)
+
+    def _write_completed(self, name: str, size_bytes: int, sha256: str) -> None:
+        """Write a file's SHA-256 into the journal, by which `graspwatch verify` knows it later; no demonstration's."""
+        if not name.startswith(DEMO_ID_PREFIX):
+            completed = CompletedFile(name=name, size_bytes=size_bytes, sha256=sha256)
+            self._publisher.journal.write(JournalKind.EVENT, f"The recording {name} is complete", completed=completed)
 
     def on_worker_death(self, text: str) -> None:
         """Raise an alarm after the recorder died; `text` is the supervisor's account of the death."""
@@ -70,5 +83,9 @@ class RecorderLink:
     async def aclose(self) -> None:
         """Put the last recording into the index; call this after the recorder has ended."""
         if self.state.file:
-            self._index_file(self._recordings_folder / self.state.file)
+            path = self._recordings_folder / self.state.file
+            self._index_file(path)
+            content = await asyncio.to_thread(read_complete_file, path)
+            if content:
+                self._write_completed(path.name, len(content), sha256_hex(content))
         await asyncio.gather(*self._file_read_tasks, return_exceptions=True)

@@ -1,6 +1,7 @@
 """Runs are recorded: all of them, from before their beginning, whatever dies or fills up meanwhile."""
 
 import contextlib
+import json
 import os
 import resource
 import signal
@@ -59,6 +60,31 @@ def test_a_run_is_recorded_from_before_its_beginning_and_replays_bit_for_bit(ser
     assert comparison.unequal_samples == 0
     listed = {each["name"]: each for each in service.http.get("/api/recordings").json()["recordings"]}
     assert path.name in listed
+
+
+def test_a_recording_is_verified_by_the_journal_also_if_the_end_of_the_service_completed_it() -> None:
+    with Service("serve", "--tissue", "liver") as service:
+        first = service.finished(service.run(protocol="trapezoid_4hz", cycles=1)["id"])["id"]
+        service.recorded(first)
+        second = service.run(protocol="trapezoid_025hz", cycles=5)["id"]
+        until(lambda: service.recording_file(second).exists())
+        assert service.end() == 0
+        for run_id in (first, second):
+            done = subprocess.run(
+                [PROGRAM, "verify", run_id, "--data", service.data, "--json"], capture_output=True, text=True
+            )
+            found = json.loads(done.stdout)
+            assert (done.returncode, found["right"]) == (0, True), done.stderr
+            assert {each["outcome"] for each in found["findings"]} == {"right"}, found
+        path = service.recording_file(first)
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+        done = subprocess.run([PROGRAM, "verify", path], capture_output=True, text=True)
+        assert (done.returncode, "the file is not the one that was completed" in " ".join(done.stderr.split())) == (
+            3,
+            True,
+        )
 
 
 def test_the_second_run_does_not_depend_on_the_first(service: Service) -> None:

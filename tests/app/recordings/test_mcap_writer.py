@@ -85,7 +85,8 @@ def test_its_messages_fit_schemas_without_references_and_alternatives(recorded: 
 
 def test_it_says_how_it_came_to_be(recorded: Path) -> None:
     container = McapFile(recorded)
-    assert {"tool.json", "library.json", "settings.json", "protocol.json", "versions"} == set(container.attachments)
+    kept = {"tool.json", "library.json", "settings.json", "protocol.json", "versions", "manifest.json"}
+    assert set(container.attachments) == kept
     assert container.metadata["protocol"] == "strong_2hz"
     assert container.metadata["tissue"] == "liver"
     assert container.complete
