@@ -363,6 +363,9 @@ EXAMPLES: dict[str, BaseModel] = {
                     protocol="trapezoid_2hz",
                     tissue="liver",
                     by="Ada",
+                    subject="P-12",
+                    labels=["liver", "undecided", "liver"],
+                    held=["liver"],
                 )
             ],
         ),

@@ -16,6 +16,8 @@ from config.errors import ConfigurationError, JournalError, RecordingError
 from config.load import load_settings
 from config.tissue_names import normalize_tissue_name
 
+MAX_PLACE_LETTERS = 80
+
 
 def label(
     run: Annotated[str, typer.Argument(metavar="RUN", help="Run or recording of the data folder.")],
@@ -26,6 +28,7 @@ def label(
         list[int] | None, typer.Option(min=1, metavar="N", help="Only this grasp; repeat it for more. Default: all.")
     ] = None,
     remark: Annotated[GraspRemark | None, typer.Option(help="What was peculiar about the grasps.")] = None,
+    place: Annotated[str | None, typer.Option(metavar="TEXT", help="Place on the organ.")] = None,
     why: Annotated[str | None, typer.Option(metavar="TEXT", help="Reason, where earlier statements change.")] = None,
     config: ConfigOption = None,
     data: DataOption = None,
@@ -36,8 +39,10 @@ def label(
     """
     settings = load_settings(config)
     folder = find_data_folder(data, settings)
-    if held is None and remark is None and why is None:
+    if held is None and remark is None and place is None and why is None:
         raise ConfigurationError("Say what was held with --held or --remark; to take a statement back, say --why.")
+    if place is not None and not 0 < len(place.strip()) <= MAX_PLACE_LETTERS:
+        raise ConfigurationError(f"--place: write 1 to {MAX_PLACE_LETTERS} letters.")
     tissue = normalize_tissue_name(held, "--held") if held else None
     path = folder / "recordings" / f"{run.removesuffix('.mcap')}.mcap"
     if Path(run).name != run or not path.is_file():
@@ -75,6 +80,7 @@ def label(
                     grasp=index,
                     held=tissue,
                     remark=remark,
+                    place=place,
                     version=before[index].version + 1 if index in before else 1,
                     by=by,
                     at=at,
@@ -85,7 +91,7 @@ def label(
             with explain_database_errors(store.url):
                 store.ingest_all((line, None) for line in lines)
     print(f"{path.name}: {len(chosen)} of {len(known)} grasps labeled")
-    if tissue is None and remark is None:
+    if tissue is None and remark is None and place is None:
         print_note("Nothing is stated of them now: --held names what was held.")
 
 

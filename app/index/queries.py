@@ -42,10 +42,12 @@ class PageQuery(TimeRangeQuery):
 
 
 class RecordingQuery(TimeRangeQuery):
-    """Query of the recordings folder, which is not in the index; times are of the last change."""
+    """Query of the recordings folder; times are those of the recordings."""
 
     limit: Annotated[int | None, Field(ge=1, le=500, description="Maximum number of results; null: all")] = None
-    q: Annotated[SearchText | None, Field(description="Text in its name")] = None
+    q: Annotated[
+        SearchText | None, Field(description="Words in its name, protocol, people, tissues, answers or what was held")
+    ] = None
 
 
 class RunQuery(PageQuery):

@@ -33,10 +33,11 @@ class GraspTruth(Record):
     by: str | None
     at: str = Field(description="Time of the statement, ISO 8601, UTC")
     why: str | None = Field(description="Reason of a correction")
+    place: str | None = Field(default=None, description="Place on the organ, in the person's words")
 
     def describe(self) -> str:
         """Return the text of its journal line."""
-        words = ", ".join(each for each in (self.held, self.remark) if each) or "not known"
+        words = ", ".join(each for each in (self.held, self.place, self.remark) if each) or "not known"
         because = f" ({self.why})" if self.why else ""
         return f"Truth of grasp {self.grasp} of run {self.run_id}: {words}{because}"
 
@@ -68,18 +69,21 @@ def _check_tissue_name(name: str) -> str:
 
 
 TissueName = Annotated[str, Field(max_length=100), AfterValidator(_check_tissue_name)]
+PlaceText = Annotated[str, Field(min_length=1, max_length=80, pattern=r"\S")]
 MarkText = Annotated[str, Field(min_length=1, max_length=200, pattern=r"\S")]
 
 
 class TruthStatement(Message):
     """Statement of what the jaws hold, for the grasp under way or the next one.
 
-    `held` counts for all further grasps, until the next statement, a new spot or the end of the run; `remark` for one.
+    `held` and `place` count for all further grasps, until the next statement, a new spot or the end of the run;
+    `remark` for one.
     """
 
     held: str | None
     remark: GraspRemark | None
     by: str | None
+    place: str | None = Field(default=None, description="Place on the organ, in the person's words")
 
 
 NO_STATEMENT = TruthStatement(held=None, remark=None, by=None)
@@ -92,6 +96,7 @@ class TruthRequest(Request):
         default=None, description="Tissue, in small letters, digits and _; null: take the statement back"
     )
     remark: GraspRemark | None = Field(default=None, description="For the grasp under way or the next one alone")
+    place: PlaceText | None = Field(default=None, description="Place on the organ, such as `left lobe`")
     by: PersonName | None = None
 
 
@@ -100,6 +105,7 @@ class TruthCorrection(Request):
 
     held: TissueName | None = Field(description="Tissue, in small letters, digits and _; null: not known")
     remark: GraspRemark | None = None
+    place: PlaceText | None = Field(default=None, description="Place on the organ; null: not known")
     version: Annotated[int, Field(ge=0)] = Field(
         description="Version that is corrected, 0 for none: a correction that somebody made meanwhile is not lost"
     )

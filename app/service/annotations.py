@@ -72,13 +72,14 @@ class Annotations:
         stated = self._find_statement(start, end)
         self._last_end_tick = end
         self._drop_used_entries(end)
-        if run_id and (stated.held or stated.remark):
+        if run_id and (stated.held or stated.remark or stated.place):
             self._publish_truth(
                 GraspTruth(
                     run_id=run_id,
                     grasp=grasp.index,
                     held=stated.held,
                     remark=stated.remark,
+                    place=stated.place,
                     version=1,
                     by=stated.by,
                     at=_now_iso(),
@@ -131,6 +132,7 @@ class Annotations:
                 grasp=grasp,
                 held=wanted.held,
                 remark=wanted.remark,
+                place=wanted.place,
                 version=wanted.version + 1,
                 by=by,
                 at=_now_iso(),

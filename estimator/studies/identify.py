@@ -30,7 +30,8 @@ from estimator.studies.knowledge_limit import KnowledgeLimit, build_limit_figure
 from estimator.studies.posterior_mode import PosteriorProblem, compute_cramer_rao_bound
 from estimator.studies.probability_scores import compute_confusion_matrix, compute_reliability, score_answers
 from estimator.studies.simulated_grasps import GraspCase, extract_contact_samples
-from estimator.studies.study_report import PALETTE, TISSUE_COLORS, KeyFigure, StudyResult, Table
+from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
+from estimator.studies.tissue_colors import assign_tissue_colors
 
 TIMES_S = (0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.5, 1.0)
 OURS, LIKELIHOOD_PRODUCT, PAPER_CRITERIA = "ours", "plain likelihoods", "paper's criteria"
@@ -292,12 +293,11 @@ def _plot_reliability(outcomes: list[_IdentifyOutcome], truth: np.ndarray) -> go
 
 def _plot_times_to_decision(outcomes: list[_IdentifyOutcome], names: list[str]) -> go.Figure:
     figure = go.Figure()
+    colors = assign_tissue_colors(names)
     for name in names:
         own = [o.course.record.time_to_decision_s for o in outcomes if o.course.case.tissue == name]
         decided = np.sort([time for time in own if time is not None])
         share = np.arange(1, len(decided) + 1) / len(own)
-        figure.add_scatter(
-            x=decided, y=share, name=name.replace("_", " "), line={"color": TISSUE_COLORS.get(name, "#000")}
-        )
+        figure.add_scatter(x=decided, y=share, name=name.replace("_", " "), line={"color": colors[name]})
     figure.update_layout(xaxis_title="s after contact", yaxis_title="share named", yaxis_range=[0, 1.02])
     return figure

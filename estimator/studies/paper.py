@@ -27,7 +27,8 @@ from estimator.studies.paper_simulation import (
 )
 from estimator.studies.paper_tables import TABLE_3, TABLE_4_N, TABLE_4_S, TABLE_5_S
 from estimator.studies.posterior_mode import compute_cramer_rao_bound, log_evidence, maximize_posterior
-from estimator.studies.study_report import TISSUE_COLORS, KeyFigure, StudyResult, Table
+from estimator.studies.study_report import KeyFigure, StudyResult, Table
+from estimator.studies.tissue_colors import assign_tissue_colors
 from estimator.tissue_model import elastic_force_array
 
 PARAMETER_NAMES = ("alpha", "beta", "d")
@@ -379,7 +380,7 @@ def _figure_4(library: TissueLibrary, seed: int) -> tuple[str, go.Figure]:
 
 
 def _figure_5(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> tuple[str, go.Figure]:
-    figure = go.Figure()
+    figure, colors = go.Figure(), assign_tissue_colors(library.tissues)
     for k, (name, profile) in enumerate(library.tissues.items()):
         until_m = float(np.log1p(2.0 / profile.alpha_n) / profile.beta_per_m)
         x_m = np.linspace(0, until_m, 80)
@@ -393,7 +394,7 @@ def _figure_5(library: TissueLibrary, by_tissue: list[list[_PaperOutcome]]) -> t
                 x=x_m / profile.thickness_m,
                 y=stress_kpa,
                 name=f"{name.replace('_', ' ')}, {label}",
-                line={"color": TISSUE_COLORS[name], "dash": dash},
+                line={"color": colors[name], "dash": dash},
             )
     figure.update_xaxes(type="log", title="strain x / x0")
     figure.update_yaxes(title="stress, kPa")

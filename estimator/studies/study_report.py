@@ -12,14 +12,6 @@ from markupsafe import Markup
 from config.atomic_write import write_atomically
 from estimator.studies.html_page import Table, format_value, render_template, to_json_value
 
-# Okabe and Ito's palette, as on the dashboard
-TISSUE_COLORS = {
-    "liver": "#d55e00",
-    "small_bowel": "#e69f00",
-    "bladder": "#0072b2",
-    "gallbladder": "#009e73",
-    "unknown": "#999999",
-}
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999", "#000000")
 
 

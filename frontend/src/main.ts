@@ -50,7 +50,7 @@ const ROUTES: Route[] = [
     matches: (path) => path === "/recordings",
     load: async () => {
       const { RecordingsPage } = await import("./pages/recordings");
-      return (box) => new RecordingsPage(box, person);
+      return (box) => new RecordingsPage(box, model, person);
     },
   },
   {

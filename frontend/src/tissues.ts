@@ -1,10 +1,12 @@
 import type { TissueInfo } from "./wire";
 
 /** Slots 1 to 7 are Okabe-Ito colors in `styles/theme.css`. The last slot is gray, for tissues outside the library. */
-const SLOTS = 7;
+const SLOTS = ["1", "2", "3", "4", "5", "6", "7"];
+/** The tissues of the shipped library keep their colors in every library. */
+const OWN_SLOTS: Record<string, string> = { liver: "1", small_bowel: "2", bladder: "3", gallbladder: "4" };
 export const UNKNOWN_SLOT = "unknown";
 
-/** How every card and chart marks a tissue: a color by its place in the library, and letters. */
+/** How every card and chart marks a tissue: a color by its name, and letters. */
 export interface TissueStyle {
   name: string;
   title: string;
@@ -13,14 +15,33 @@ export interface TissueStyle {
 }
 
 export function tissueStyles(tissues: TissueInfo[]): TissueStyle[] {
-  const styles = tissues.map((tissue, i) => ({
+  const slots = tissueSlots(tissues.map(({ name }) => name));
+  const styles = tissues.map((tissue) => ({
     name: tissue.name,
     title: tissue.title,
-    slot: String((i % SLOTS) + 1),
+    slot: slots.get(tissue.name) ?? UNKNOWN_SLOT,
     mark: uniqueMark(tissue.title, tissues),
   }));
   return [...styles, { name: "unknown", title: "Unknown", slot: UNKNOWN_SLOT, mark: "?" }];
 }
+
+/** Returns a slot for each name. No two are alike while there are free ones; a name's first choice is the same everywhere. */
+function tissueSlots(names: string[]): Map<string, string> {
+  const slots = new Map<string, string>();
+  for (const name of names) if (OWN_SLOTS[name]) slots.set(name, OWN_SLOTS[name]);
+  for (const name of names.filter((each) => !slots.has(each)).toSorted()) {
+    const taken = new Set(slots.values());
+    const free = SLOTS.filter((slot) => !taken.has(slot));
+    const choices = free.length > 0 ? free : SLOTS;
+    const others = choices.filter((slot) => !Object.values(OWN_SLOTS).includes(slot));
+    const preferred = others.length > 0 ? others : choices;
+    slots.set(name, preferred[sumOfCodes(name) % preferred.length] ?? UNKNOWN_SLOT);
+  }
+  return slots;
+}
+
+/** Names consist of small letters, digits and `_`. */
+const sumOfCodes = (name: string): number => Array.from(name, (letter) => letter.charCodeAt(0)).reduce((sum, code) => sum + code, 0);
 
 /** Returns the initials of a title or, if another tissue shares them, as many first letters as make it unique. */
 function uniqueMark(title: string, tissues: TissueInfo[]): string {

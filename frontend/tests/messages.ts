@@ -74,7 +74,7 @@ export const state = (values: Partial<State> = {}): State => ({
   viewers: 1,
   recording: { enabled: false, file: null, samples: 0, missing_blocks: 0, problem: null },
   session: null,
-  stated: { held: null, remark: null, by: null },
+  stated: { held: null, remark: null, by: null, place: null },
   reference: { taken_at: null, stall_v: null, declined: false, wanted: false, problem: null },
   free_disk_bytes: null,
   faults: [],

@@ -5,6 +5,13 @@ import { tissue } from "./messages";
 
 const marksOf = (...titles: string[]): string[] => tissueStyles(titles.map((title) => tissue(title, title))).map(({ mark }) => mark);
 
+const slotsOf = (count: number): string[] =>
+  tissueStyles(Array.from({ length: count }, (_, i) => tissue(`t${i}`, `T${i}`)))
+    .slice(0, -1)
+    .map(({ slot }) => slot);
+const slotOf = (name: string, ...names: string[]): string | undefined =>
+  tissueStyles(names.map((each) => tissue(each, each))).find((style) => style.name === name)?.slot;
+
 describe("tissueStyles", () => {
   it("adds the unknown tissue, which is none of the library", () => {
     const [unknown, ...others] = tissueStyles([]);
@@ -23,8 +30,14 @@ describe("tissueStyles", () => {
     assert.equal(new Set(marks).size, marks.length);
   });
 
-  it("begins the seven colors again at the eighth tissue", () => {
-    const slots = tissueStyles(Array.from({ length: 8 }, (_, i) => tissue(`t${i}`, `T${i}`))).map(({ slot }) => slot);
-    assert.deepEqual(slots, ["1", "2", "3", "4", "5", "6", "7", "1", UNKNOWN_SLOT]);
+  it("gives seven tissues seven colors, and begins again at the eighth", () => {
+    assert.equal(new Set(slotsOf(7)).size, 7);
+    assert.equal(new Set(slotsOf(8)).size, 7);
+  });
+
+  it("colors a tissue by its name, whatever else the library holds", () => {
+    assert.equal(slotOf("liver", "bladder", "liver"), slotOf("liver", "liver", "spleen", "kidney"));
+    assert.equal(slotOf("spleen", "spleen"), slotOf("spleen", "bladder", "liver", "spleen"));
+    assert.notEqual(slotOf("spleen", "spleen", "liver"), slotOf("liver", "spleen", "liver"));
   });
 });

@@ -35,7 +35,8 @@ def recorded_json(path: Path, topic: str) -> list[tuple[str, dict]]:
 
 
 def test_what_is_stated_before_and_during_grasps_is_recorded_with_them(service: Service) -> None:
-    assert state(service, held="liver") == {"held": "liver", "remark": None, "by": "Ada"}  # before the run
+    before = {"held": "liver", "remark": None, "place": "left lobe", "by": "Ada"}
+    assert state(service, held="liver", place="left lobe") == before  # before the run
     with Listener(service) as viewer:
         run = service.run(protocol="trapezoid_2hz", cycles=4)
         viewer.listen(lambda: len(viewer.of("grasp")) == 1)
@@ -51,7 +52,13 @@ def test_what_is_stated_before_and_during_grasps_is_recorded_with_them(service: 
     assert truths(service, run["id"]) == [(1, "liver", None, 1), (2, "spleen", "slipped", 1), (3, "spleen", None, 1)]
     lines = [line for _, line in recorded_json(service.recorded(run["id"]), "/journal") if line["kind"] == "truth"]
     assert [line["truth"]["held"] for line in lines] == ["liver", "spleen", "spleen"]
-    assert state_now(service) == {"held": None, "remark": None, "by": None}  # the next run is another one
+    assert [line["truth"].get("place") for line in lines] == ["left lobe", None, None]
+    assert state_now(service) == {
+        "held": None,
+        "remark": None,
+        "place": None,
+        "by": None,
+    }  # the next run is another one
 
 
 def state_now(service: Service) -> dict:

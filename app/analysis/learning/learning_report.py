@@ -10,7 +10,8 @@ from estimator.decision import NO_ANSWER, NOT_NAMED, UNDECIDED, UNKNOWN
 from estimator.learning.cross_validation import FORCE_CHECKPOINTS, ValidationAnswer
 from estimator.loading.constants import FEATURES
 from estimator.studies.probability_scores import compute_reliability, score_answers
-from estimator.studies.study_report import PALETTE, TISSUE_COLORS, KeyFigure, StudyResult, Table
+from estimator.studies.study_report import PALETTE, KeyFigure, StudyResult, Table
+from estimator.studies.tissue_colors import UNKNOWN_COLOR
 
 EXPLANATION = """
 What this library says of grasps that it was not learned from. "another recording": each recording in turn is left out,
@@ -118,9 +119,7 @@ def _build_feature_centers_table(library: TissueLibrary) -> Table:
 
 def _plot_reliability(answers: Sequence[ValidationAnswer], questions: list[str]) -> go.Figure:
     figure = go.Figure()
-    figure.add_scatter(
-        x=[0, 1], y=[0, 1], mode="lines", line={"color": TISSUE_COLORS["unknown"], "dash": "dot"}, name="honest"
-    )
+    figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", line={"color": UNKNOWN_COLOR, "dash": "dot"}, name="honest")
     for question, colour in zip(questions, PALETTE, strict=False):
         own = [
             max(each.probabilities.items(), key=lambda item: (item[1], item[0]))

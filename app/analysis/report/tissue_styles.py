@@ -5,18 +5,10 @@ from dataclasses import dataclass
 from config.schema import TissueLibrary
 from estimator.decision import NO_ANSWER, UNDECIDED, UNKNOWN
 from estimator.force_alarms import Priority
+from estimator.studies.tissue_colors import UNKNOWN_COLOR, assign_tissue_colors
 
-# Okabe and Ito's palette in the dashboard's order, each with the color of text on it
-TISSUE_COLORS = (
-    ("#56b4e9", "#000000"),
-    ("#e69f00", "#000000"),
-    ("#009e73", "#000000"),
-    ("#cc79a7", "#000000"),
-    ("#0072b2", "#ffffff"),
-    ("#f0e442", "#000000"),
-    ("#d55e00", "#000000"),
-)
-UNKNOWN_COLORS, UNDECIDED_COLORS = ("#808b94", "#000000"), ("#c3ccd4", "#000000")
+LIGHT_TEXT_ON = {"#0072b2"}  # on all other colors text is black
+UNKNOWN_COLORS, UNDECIDED_COLORS = (UNKNOWN_COLOR, "#000000"), ("#c3ccd4", "#000000")
 ALARM_COLORS = {Priority.LOW: "#00d5f0", Priority.MEDIUM: "#ffd400", Priority.HIGH: "#d40020"}
 
 
@@ -36,11 +28,16 @@ def build_tissue_styles(library: TissueLibrary, groups: tuple[str, ...] = ()) ->
     titles = {name: profile.title for name, profile in library.tissues.items()}
     others = [name for name in groups if name not in (*titles, UNKNOWN, UNDECIDED, NO_ANSWER)]
     titles |= {name: name.replace("_", " ").capitalize() for name in others}
+    colors = assign_tissue_colors(titles)
     looks = {
         name: TissueStyle(
-            name, title, _abbreviate(title, [*titles.values()]), *TISSUE_COLORS[place % len(TISSUE_COLORS)]
+            name,
+            title,
+            _abbreviate(title, [*titles.values()]),
+            colors[name],
+            "#ffffff" if colors[name] in LIGHT_TEXT_ON else "#000000",
         )
-        for place, (name, title) in enumerate(titles.items())
+        for name, title in titles.items()
     }
     looks[UNKNOWN] = TissueStyle(UNKNOWN, "Unknown", "?", *UNKNOWN_COLORS)
     looks[UNDECIDED] = TissueStyle(UNDECIDED, "Undecided", "–", *UNDECIDED_COLORS)

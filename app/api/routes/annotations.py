@@ -45,7 +45,7 @@ async def state_truth(
     note_request(request, description=f"State that the jaws hold {body.held or body.remark or 'something unknown'}")
     check_has_tool(tool_service)
     by = requester_name(request, body.by)
-    tool_service.annotations.state_truth(TruthStatement(held=body.held, remark=body.remark, by=by))
+    tool_service.annotations.state_truth(TruthStatement(held=body.held, remark=body.remark, place=body.place, by=by))
     tool_service.state.publish()
     return tool_service.annotations.statement
 

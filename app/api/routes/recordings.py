@@ -1,5 +1,7 @@
 """Routes to list, download, delete, report on and replay recordings."""
 
+import contextlib
+from dataclasses import asdict
 from datetime import datetime
 from functools import partial
 from http import HTTPStatus
@@ -15,6 +17,7 @@ from app.http.audit_middleware import describe_client, note_request
 from app.http.pagination import set_paging_headers
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.index.queries import RecordingQuery
+from app.index.store import RunSummary
 from app.messages.base import PersonName
 from app.messages.journal import Result
 from app.messages.people import Role
@@ -25,7 +28,7 @@ from app.recordings.replay.cache_store import ReplayCacheStore
 from app.recordings.replay.player import ReplayConnection, close_with_error
 from app.service.tool_service import ToolService
 from app.stream.viewers import Viewer
-from config.errors import GraspwatchError, RecordingError, RefusedError
+from config.errors import GraspwatchError, RecordingError, RefusedError, ServiceError
 
 router = APIRouter(prefix="/api/recordings", tags=["recordings"])
 WAITING_PAGE = Path(__file__).with_name("waiting.html")
@@ -36,20 +39,35 @@ WAITING_PAGE_POLICY = (
 
 @router.get("", dependencies=[require_role(Role.VIEWER)])
 async def list_recordings(
-    request: Request, catalog: CatalogDep, response: Response, query: Annotated[RecordingQuery, Query()]
+    request: Request,
+    tool_service: ToolServiceDep,
+    catalog: CatalogDep,
+    response: Response,
+    query: Annotated[RecordingQuery, Query()],
 ) -> Recordings:
     """List recordings that can be replayed. A duration is null until its file has been read: ask again in a second."""
     listing = await catalog.list_recordings(read_new=request.method != "HEAD")
-    found = [recording for recording in listing.recordings if _matches(recording, query)]
+    summaries: dict[str, RunSummary] = {}
+    with contextlib.suppress(ServiceError):  # without the index the files are still there
+        summaries = await tool_service.index_writer.query(tool_service.index_writer.store.summarize_runs)
+    described = [_add_summary(each, summaries.get(each.run_id or "")) for each in listing.recordings]
+    found = [recording for recording in described if _matches(recording, query)]
     limit = query.limit or max(len(found), 1)
     set_paging_headers(request, response, limit, query.offset, len(found))
     return listing.model_copy(update={"recordings": found[query.offset : query.offset + limit]})
 
 
+def _add_summary(recording: RecordingInfo, summary: RunSummary | None) -> RecordingInfo:
+    return recording.model_copy(update=asdict(summary)) if summary else recording
+
+
 def _matches(recording: RecordingInfo, query: RecordingQuery) -> bool:
+    """Return whether the times fit, and each word of the text is in something that the list shows."""
     recorded = datetime.fromisoformat(recording.recorded_at)
+    shown = [recording.name, recording.protocol, recording.tissue, recording.by, recording.subject]
+    text = " ".join(filter(None, [*shown, *recording.labels, *recording.held])).replace("_", " ").casefold()
     return (
-        (query.q is None or query.q.casefold() in recording.name.casefold())
+        all(word in text or word in recording.name.casefold() for word in (query.q or "").casefold().split())
         and (query.since is None or recorded >= query.since)
         and (query.until is None or recorded < query.until)
     )

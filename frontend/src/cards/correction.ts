@@ -9,6 +9,7 @@ import { REMARKS, tissueNameOf } from "./truth";
 export class CorrectionForm {
   private readonly form: HTMLFormElement;
   private readonly held: HTMLInputElement;
+  private readonly place: HTMLInputElement;
   private readonly remark: HTMLSelectElement;
   private readonly why: HTMLInputElement;
   private grasp = 0;
@@ -22,6 +23,7 @@ export class CorrectionForm {
   ) {
     this.form = find(root, "correction", HTMLFormElement);
     this.held = find(root, "correction-held", HTMLInputElement);
+    this.place = find(root, "correction-place", HTMLInputElement);
     this.remark = find(root, "correction-remark", HTMLSelectElement);
     this.why = find(root, "correction-why", HTMLInputElement);
     this.remark.replaceChildren(createOption("", "none"), ...REMARKS.map((remark) => createOption(remark, remark)));
@@ -45,6 +47,7 @@ export class CorrectionForm {
     setText(find(this.root, "correction-title"), `Grasp ${grasp}`);
     find(this.root, "correction-tissues").replaceChildren(...this.model.tissues.map(({ name, title }) => createOption(name, title)));
     this.held.value = before?.held ?? "";
+    this.place.value = before?.place ?? "";
     this.remark.value = before?.remark ?? "";
     this.why.value = "";
     setHidden(find(this.root, "correction-why-field"), before === undefined);
@@ -63,6 +66,7 @@ export class CorrectionForm {
       const truth: GraspTruth = await correctTruth(run, this.grasp, {
         held: held === "" ? null : held,
         remark: this.remark.value === "" ? null : (this.remark.value as GraspRemark),
+        place: this.place.value.trim() || null,
         version: this.version,
         why: why === "" ? null : why,
         by: this.person.name,

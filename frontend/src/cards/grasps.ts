@@ -75,7 +75,7 @@ export class GraspsTable {
   private held(grasp: number, runId: string | null): HTMLTableCellElement {
     const cell = create("td", "held");
     const truth = this.model.truths.get(grasp);
-    const words = [truth?.held ? this.model.titleOf(truth.held) : "", truth?.remark ?? ""].filter(Boolean).join(", ");
+    const words = [truth?.held ? this.model.titleOf(truth.held) : "", truth?.place ?? "", truth?.remark ?? ""].filter(Boolean).join(", ");
     const isOfRun = this.model.isReplay || runId !== null;
     if (!isOfRun || !this.correction.isAllowed) {
       cell.textContent = words || NO_VALUE;

@@ -18,10 +18,12 @@ export const tissueNameOf = (text: string): string => text.trim().toLowerCase().
 /** Says what the jaws hold, for the recording alone, and sets marks. */
 export class TruthCard {
   private readonly other: HTMLInputElement;
+  private readonly place: HTMLInputElement;
   private readonly markText: HTMLInputElement;
   private readonly message: HTMLElement;
   private buttonsFor: TissueInfo[] | null = null;
   private marksShown: readonly Mark[] | null = null;
+  private placeShown = "";
   private readonly buttons = new Map<string, HTMLButtonElement>();
 
   constructor(
@@ -30,6 +32,7 @@ export class TruthCard {
     private readonly person: Person,
   ) {
     this.other = find(root, "truth-other", HTMLInputElement);
+    this.place = find(root, "truth-place", HTMLInputElement);
     this.markText = find(root, "mark-text", HTMLInputElement);
     this.message = find(root, "truth-message");
     const remarks = REMARKS.map((remark, i) => this.button(`remark ${remark}`, remark, REMARK_KEYS[i], () => this.stateRemark(remark)));
@@ -40,6 +43,11 @@ export class TruthCard {
       this.state({ held: tissueNameOf(this.other.value), remark: null });
       this.other.value = "";
       this.other.blur();
+    });
+    find(root, "place-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.state({ held: this.model.state?.stated.held ?? null, remark: this.model.state?.stated.remark ?? null });
+      this.place.blur();
     });
     find(root, "mark-form").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -75,13 +83,21 @@ export class TruthCard {
     if (!shown) return;
     if (tissues !== this.buttonsFor) this.listTissues(tissues);
     const stated = state?.stated;
-    const words = [stated?.held ? this.model.titleOf(stated.held) : "", stated?.remark ?? ""].filter(Boolean);
+    const words = [stated?.held ? this.model.titleOf(stated.held) : "", stated?.place ?? "", stated?.remark ?? ""].filter(Boolean);
+    this.showPlace(stated?.place ?? "");
     setText(find(this.root, "truth-now"), words.length > 0 ? words.join(", ") : "not stated");
     for (const [key, button] of this.buttons) {
       const pressed = stated !== undefined && (key === stated.held || key === `remark ${stated.remark ?? ""}`);
       setAttribute(button, "aria-pressed", String(pressed));
     }
     if (this.model.marks !== this.marksShown) this.listMarks(this.model.marks);
+  }
+
+  /** Follows the place that counts, such as none after a new spot, but never while somebody types. */
+  private showPlace(place: string): void {
+    if (place === this.placeShown || document.activeElement === this.place) return;
+    this.placeShown = place;
+    this.place.value = place;
   }
 
   private listTissues(tissues: TissueInfo[]): void {
@@ -112,7 +128,7 @@ export class TruthCard {
 
   private state(truth: Pick<TruthRequest, "held" | "remark">): void {
     if (!this.person.may("operator")) return;
-    stateTruth({ ...truth, by: this.person.name }).then(
+    stateTruth({ ...truth, place: this.place.value.trim() || null, by: this.person.name }).then(
       () => this.showMessage(""),
       (error: unknown) => this.showMessage(`Not stated: ${messageOf(error)}`),
     );

@@ -1,9 +1,11 @@
 import { create, fill, find, setAttribute, setHidden, setText } from "../dom";
 import { bytes, duration, NO_VALUE } from "../format";
+import type { Model } from "../live/model";
 import { showHints } from "../shell/hints";
 import type { KeyAction } from "../shell/keys";
 import type { Person } from "../shell/person";
 import type { Page } from "../shell/router";
+import { tissueStyles } from "../tissues";
 import type { RecordingInfo, Recordings } from "../wire";
 import "../styles/pages.css";
 import { BinSection } from "./bin";
@@ -20,7 +22,7 @@ type Column = "name" | "recorded_at" | "duration_s" | "size_bytes";
 /** Lists the recordings folder: find, replay, download or delete a recording. */
 export class RecordingsPage implements Page {
   readonly keys: KeyAction[] = [
-    { key: "/", label: "/", description: "Find a recording by its name", run: () => this.filter.focus() },
+    { key: "/", label: "/", description: "Find a recording by anything that the list shows", run: () => this.filter.focus() },
   ];
   private readonly root: HTMLElement;
   private readonly filter: HTMLInputElement;
@@ -33,6 +35,7 @@ export class RecordingsPage implements Page {
 
   constructor(
     box: HTMLElement,
+    model: Model,
     person: Person,
   ) {
     this.root = fill(box, markup);
@@ -40,7 +43,7 @@ export class RecordingsPage implements Page {
     this.filter = find(this.root, "recordings-filter", HTMLInputElement);
     this.filter.addEventListener("input", () => this.show());
     for (const button of this.sortButtons()) button.addEventListener("click", () => this.sortBy(button.dataset.column as Column));
-    this.rows = new Rows(find(this.root, "recordings-body"), ({ name }) => name, (recording) => makeRow(recording, ...deleteButton(recording.name, person, (text) => this.onDeleted(text))));
+    this.rows = new Rows(find(this.root, "recordings-body"), ({ name }) => name, (recording) => makeRow(recording, model, ...deleteButton(recording.name, person, (text) => this.onDeleted(text))));
     const section = find(this.root, "recordings");
     this.polled = new Polled({ path: "/api/recordings", title: "The list", section, onAnswer: (answer) => this.onAnswer(answer) });
     this.bin = new BinSection(this.root, person, () => this.polled.refresh(), (text) => this.showProblem(text));
@@ -74,11 +77,11 @@ export class RecordingsPage implements Page {
 
   private show(): void {
     const words = this.filter.value.toLowerCase().split(/\s+/);
-    const found = this.recordings.filter(({ name }) => words.every((word) => name.toLowerCase().includes(word)));
+    const found = this.recordings.filter((recording) => words.every((word) => searchText(recording).includes(word)));
     this.rows.show(found.toSorted((a, b) => compare(a, b, this.column, this.descending)));
     const [none, all] = [this.recordings.length === 0, this.recordings.length];
     setText(find(this.root, "recordings-count"), found.length === all ? `${all} of ${all}` : `${found.length} of ${all}`);
-    setText(find(this.root, "recordings-no-match"), `No name contains “${this.filter.value.trim()}”.`);
+    setText(find(this.root, "recordings-no-match"), `No recording has “${this.filter.value.trim()}” in its name, protocol, people, answers or what was held.`);
     setHidden(find(this.root, "recordings-empty"), !none);
     setHidden(find(this.root, "recordings-tools"), none);
     setHidden(find(this.root, "recordings-where"), none);
@@ -104,9 +107,16 @@ export class RecordingsPage implements Page {
 
 const isBeingRead = ({ duration_s: known, problem }: RecordingInfo): boolean => known === null && problem === null;
 
+/** Returns everything that a row shows in words, in small letters. */
+const searchText = ({ name, protocol, tissue, by, subject, labels, held }: RecordingInfo): string => {
+  const shown = [protocol, tissue, by, subject, ...labels, ...held].filter(Boolean).join(" ").replaceAll("_", " ");
+  return `${name} ${shown}`.toLowerCase();
+};
+
 /** Compares two recordings by a column. Unknown values come last in both orders. */
 function compare(a: RecordingInfo, b: RecordingInfo, column: Column, descending: boolean): number {
-  const [first, second] = [a[column], b[column]];
+  const isTime = column === "recorded_at";
+  const [first, second] = isTime ? [Date.parse(a[column]), Date.parse(b[column])] : [a[column], b[column]];
   if (first === null || second === null) return Number(first === null) - Number(second === null);
   const order =
     typeof first === "number" && typeof second === "number"
@@ -115,8 +125,9 @@ function compare(a: RecordingInfo, b: RecordingInfo, column: Column, descending:
   return (descending ? -order : order) || a.name.localeCompare(b.name, "en", { numeric: true });
 }
 
-function makeRow({ name }: RecordingInfo, remove: HTMLElement, question: HTMLElement): Row<RecordingInfo> {
+function makeRow({ name }: RecordingInfo, model: Model, remove: HTMLElement, question: HTMLElement): Row<RecordingInfo> {
   const element = create("tr");
+  const [answers, held] = [create("td", "roomy"), create("small")];
   const address = encodeURIComponent(name);
   const link = create("a", "row-link", name);
   const [problem, small, run] = [create("small", "problem"), create("small", "narrow"), create("small")];
@@ -134,12 +145,12 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement, question: HTMLEle
   download.download = name;
   download.ariaLabel = `Download ${name}`;
   const what = headCell("what");
-  what.append(link, run, small, problem, question);
+  what.append(link, run, held, small, problem, question);
   const actions = create("td", "actions");
   const buttons = create("div");
   buttons.append(replay, report, download, remove);
   actions.append(buttons);
-  element.append(what, when, length, size, actions);
+  element.append(what, answers, when, length, size, actions);
   const update = (recording: RecordingInfo): void => {
     setLink(link, recording.problem === null ? replay.href : null);
     setHidden(replay, recording.problem !== null);
@@ -150,17 +161,38 @@ function makeRow({ name }: RecordingInfo, remove: HTMLElement, question: HTMLEle
     setText(length, lengthInWords(recording));
     setText(size, bytes(recording.size_bytes));
     setText(run, runInWords(recording));
+    setText(held, recording.held.length > 0 ? `held: ${recording.held.map((each) => model.titleOf(each)).join(", ")}` : "");
+    showAnswers(answers, recording.labels, model);
     const facts = [recording.problem === null ? length.textContent : null, recorded, size.textContent];
     setText(small, facts.filter(Boolean).join(" · "));
   };
   return { element, update };
 }
 
+/** Shows a tick for each grasp, in the color of its answer, and how often each answer was given. */
+function showAnswers(cell: HTMLElement, labels: string[], model: Model): void {
+  const key = `${labels.join()}|${model.tissues.length}`;
+  if (cell.dataset.key === key) return;
+  cell.dataset.key = key;
+  const styles = new Map(tissueStyles(model.tissues).map((style) => [style.name, style]));
+  const strip = create("span", "verdicts");
+  strip.ariaHidden = "true";
+  for (const label of labels) {
+    const tick = create("i");
+    tick.dataset.slot = styles.get(label)?.slot ?? "none";
+    strip.append(tick);
+  }
+  const counts = new Map<string, number>();
+  for (const label of labels) counts.set(label, (counts.get(label) ?? 0) + 1);
+  const words = [...counts].toSorted(([, a], [, b]) => b - a).map(([label, count]) => `${model.titleOf(label)} ${count}`);
+  cell.replaceChildren(strip, create("small", "", words.join(", ")));
+}
+
 /** Describes the run: protocol, tissue as entered, person. */
 function runInWords(recording: RecordingInfo): string {
-  const { protocol, tissue, by, whole, run_id: runId } = recording;
+  const { protocol, tissue, by, subject, whole, run_id: runId } = recording;
   if (runId === null) return "";
-  const words = [protocol, tissue?.replaceAll("_", " "), by === null ? null : `by ${by}`];
+  const words = [protocol, tissue?.replaceAll("_", " "), subject, by === null ? null : `by ${by}`];
   return [...words, whole || isBeingRead(recording) ? null : "not whole: being recorded, or cut off"].filter(Boolean).join(" · ");
 }
 

@@ -11,6 +11,7 @@ from service import Listener, Service, until
 
 from acquisition.recordings.mcap_reader import McapFile
 from app.recordings.run_reader import read_run
+from app.service.workers import display_worker_name
 from config.load import load_library
 
 pytestmark = pytest.mark.alone
@@ -86,7 +87,7 @@ def test_any_other_worker_that_is_lost_is_told_and_the_grasp_goes_on(service, bo
         began = time.monotonic()
         pid = service.worker(worker)
         os.kill(pid, SIGNALS[how])
-        texts = (worker, "estimates")
+        texts = (display_worker_name(worker), "estimates")
         told_s = listener.listen(lambda: any(text in a["text"] for a in listener.of("alarm") for text in texts))
         reactions.add(f"{worker}: {how}: alarm", "hold", told_s * 1e3, ALARM_S * 1e3)
         assert told_s <= ALARM_S
