@@ -20,6 +20,7 @@ from config.schema import GraspProtocol
 from estimator.estimate_messages import PublishedEstimates
 
 RUN_END_TIMEOUT_S = 10.0  # time limit for a hanging server to report a run's end
+MAX_ANNOUNCED_RUNS = 20
 LATE_DATA_GRACE_S = 0.2  # estimates come after their samples, and messages of a run after its last sample
 
 
@@ -47,7 +48,8 @@ class Recorder:
         self._recent_blocks: deque[SampleBlock] = deque()
         self._recent_estimates: deque[PublishedEstimates] = deque()
         self._early_estimates: deque[PublishedEstimates] = deque()  # estimates of blocks that are still to come
-        self._announced_run: RunMetadata | None = None
+        self._announced_runs: dict[str, RunMetadata] = {}  # the last ones; in a backlog they come before their blocks
+        self._newest_announced_id = ""
         self._pending_messages: list[tuple[str, bytes, int]] = []  # since the announcement, until the run begins
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._current_run_id = ""
@@ -62,7 +64,10 @@ class Recorder:
 
     def announce_run(self, run_metadata: RunMetadata) -> None:
         """Store the description of a run that is about to begin."""
-        self._announced_run = run_metadata
+        self._announced_runs[run_metadata.run_id] = run_metadata
+        self._newest_announced_id = run_metadata.run_id
+        for oldest in list(self._announced_runs)[:-MAX_ANNOUNCED_RUNS]:
+            del self._announced_runs[oldest]
         self._pending_messages = []
 
     def add_samples(self, block: SampleBlock) -> None:
@@ -109,7 +114,7 @@ class Recorder:
             self._last_run_message = read_stored(Run, content)
         if self.file:
             self.file.add_message(topic, content, at_ns)
-        if self._announced_run and self._announced_run.run_id != self._current_run_id:
+        if self._newest_announced_id not in ("", self._current_run_id):
             self._pending_messages.append((topic, content, at_ns))
 
     def on_run_ended(self, run_id: str, end: RunState, why: str) -> None:
@@ -158,7 +163,7 @@ class Recorder:
                 f"Run {block.run} is not recorded: the disk of {self._folder} has fewer than {least / 1e6:.0f} MB "
                 "free. Make room."
             )
-        known = self._announced_run if self._announced_run and self._announced_run.run_id == block.run else None
+        known = self._announced_runs.get(block.run)
         first = self._recent_blocks[0] if self._recent_blocks else block
         about = {
             "run_id": block.run,

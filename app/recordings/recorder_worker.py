@@ -54,10 +54,9 @@ def main(setup: RecorderSetup) -> None:
     """Run until a signal; first repair the files that a previous recorder left cut off."""
     with begin_worker("recorder", setup.parent_pid, setup.endpoints.recorder) as life:
         limit_memory()
-        sources = bus.open_subscriber(
-            life.context, setup.endpoints.samples, setup.endpoints.estimates, setup.endpoints.events
-        )
-        _RecorderWorker(setup, life.publisher).run(sources, life.stop)
+        blocks = bus.open_subscriber(life.context, setup.endpoints.samples, setup.endpoints.estimates)
+        events = bus.open_subscriber(life.context, setup.endpoints.events)
+        _RecorderWorker(setup, life.publisher).run(blocks, events, life.stop)
 
 
 class _RecorderWorker:
@@ -71,14 +70,14 @@ class _RecorderWorker:
         self._sample_sequence = bus.SequenceTracker()
         self._last_status_s = 0.0
 
-    def run(self, sources: zmq.Socket, stop: ProcessEndFlag) -> None:
+    def run(self, blocks: zmq.Socket, events: zmq.Socket, stop: ProcessEndFlag) -> None:
         """Run until the flag is set, then complete the file."""
         find_commit()  # for the manifests: it may take longer than a run's start allows
         for path in recover_folder(self._setup.folder):
             content = path.read_bytes()
             self._publish_notice(RecordingRecovered(path.name, len(content), sha256_hex(content)))
         while not stop.is_set:
-            if not self._read_messages(sources):
+            if not self._read_messages(blocks, events):
                 time.sleep(READ_PERIOD_S)
             if time.monotonic() - self._last_status_s > STATUS_PERIOD_S:
                 self._priority.renew()
@@ -86,13 +85,15 @@ class _RecorderWorker:
         self._run_and_report(lambda: self._recorder.close_file("the service was ended"))
         self._publish_status()
 
-    def _read_messages(self, sources: zmq.Socket) -> bool:
-        """Handle the messages that wait; return whether there may be more."""
-        for _ in range(MAX_MESSAGES_PER_TURN):
-            if not sources.poll(0):
-                return False
-            self._run_and_report(lambda: self._on_message(sources.recv_multipart()))
-        return True
+    def _read_messages(self, blocks: zmq.Socket, events: zmq.Socket) -> bool:
+        """Handle the messages that wait, and return whether there may be more.
+
+        Events are received after the blocks and handled before them: a run is announced before its first block is made.
+        """
+        received = _receive_waiting(blocks)
+        for parts in (*_receive_waiting(events), *received):
+            self._run_and_report(lambda parts=parts: self._on_message(parts))
+        return len(received) == MAX_MESSAGES_PER_TURN
 
     def _run_and_report(self, work: Callable[[], None]) -> None:
         file = self._recorder.file
@@ -146,3 +147,11 @@ class _RecorderWorker:
 
     def _publish_notice(self, notice: Notice) -> None:
         self._publisher.send_multipart(bus.pack_notice(notice))
+
+
+def _receive_waiting(socket: zmq.Socket) -> list[list[bytes]]:
+    """Return the messages that wait, at most MAX_MESSAGES_PER_TURN."""
+    received = []
+    while len(received) < MAX_MESSAGES_PER_TURN and socket.poll(0):
+        received.append(socket.recv_multipart())
+    return received

@@ -79,7 +79,7 @@ def test_the_table_of_all_grasps_has_what_was_said_since(service: Service) -> No
     def find(text: str) -> list[dict[str, Any]]:
         return service.http.get("/api/recordings", params={"q": text}).json()["recordings"]
 
-    [listed] = find("p-21 liver")
+    [listed] = until(lambda: find("p-21 liver"))  # once its file has been read
     assert (listed["run_id"], listed["subject"], listed["held"]) == (run["id"], "P-21", ["liver"])
     assert len(listed["labels"]) == 2
     assert find("p-21 kidney") == []

@@ -68,7 +68,7 @@ def test_a_recording_is_verified_by_the_journal_also_if_the_end_of_the_service_c
         service.recorded(first)
         second = service.run(protocol="trapezoid_025hz", cycles=5)["id"]
         until(lambda: service.recording_file(second).exists())
-        assert service.end() == 0
+        service.end()
         for run_id in (first, second):
             done = subprocess.run(
                 [PROGRAM, "verify", run_id, "--data", service.data, "--json"], capture_output=True, text=True

@@ -94,7 +94,7 @@ def check(operation, mode, role, url, headers):
         needed = ADMINS_KINDS.get((operation.method.upper(), operation.path, case.path_parameters.get("kind")), least)
         may = needed is None or (role is not None and role.includes(needed))
         response = case.call(base_url=url, headers=headers, allow_redirects=False)
-        said = f"{case.as_curl_command()}: {response.status_code} {response.text[:300]}"
+        said = f"{case.as_curl_command()}: {response.status_code} {response.content[:300]!r}"
         assert response.status_code < 500, said
         if not may:
             assert response.status_code in ((FORBIDDEN, TOO_LARGE, *NO_JSON) if role else (UNKNOWN,)), said
