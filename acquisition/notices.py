@@ -111,11 +111,10 @@ class RecorderStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class RecordingFileComplete:
-    """Notice that a recording file is complete and can be indexed; `sha256` is None if it could not be completed."""
+class RecordingFileClosed:
+    """Notice that a recording file was closed and can be indexed; `sha256` is None if it is not complete."""
 
     file: str
-    size_bytes: int
     sha256: str | None
 
 
@@ -124,7 +123,6 @@ class RecordingRecovered:
     """Notice that a recording file, which an earlier recorder left cut off, has been repaired."""
 
     file: str
-    size_bytes: int
     sha256: str
 
 
@@ -178,7 +176,7 @@ Notice = (
     | Estimating
     | RunMetadata
     | RecorderStatus
-    | RecordingFileComplete
+    | RecordingFileClosed
     | RecordingRecovered
     | RecordingStopped
     | Monitoring

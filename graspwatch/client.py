@@ -171,7 +171,10 @@ class Graspwatch:
     async def state_truth(
         self, held: str | None, *, remark: GraspRemark | None = None, place: str | None = None
     ) -> TruthStatement:
-        """State what the jaws hold, for the grasp under way or the next one; `remark` is for that grasp alone."""
+        """State what the jaws hold, for the grasp under way or the next one; `remark` is for that grasp alone.
+
+        A statement replaces the whole earlier one, with its place and remark.
+        """
         wanted = TruthRequest(held=held, remark=remark, place=place, by=self._by)
         return await self._rest_client.ask(TruthStatement, "POST", "/api/truth", wanted)
 
@@ -191,7 +194,10 @@ class Graspwatch:
         version: int = 0,
         why: str | None = None,
     ) -> GraspTruth:
-        """State or correct the ground truth of a finished grasp; `version` is that of the statement before, 0: none."""
+        """State or correct the ground truth of a finished grasp; `version` is that of the statement before, 0: none.
+
+        A statement replaces the whole earlier one, with its place and remark.
+        """
         run_id = run if isinstance(run, str) else run.id
         wanted = TruthCorrection(held=held, remark=remark, place=place, version=version, why=why, by=self._by)
         return await self._rest_client.ask(GraspTruth, "PUT", f"/api/runs/{run_id}/grasps/{grasp}/truth", wanted)
@@ -241,7 +247,10 @@ class Graspwatch:
         return await self._rest_client.ask(list[Grasp], "GET", f"/api/runs/{run_id}/grasps")
 
     async def grasp_table(self) -> "pyarrow.Table":
-        """Return the grasps of all recordings, as recorded: a row a grasp; `.to_pandas()` makes a data frame of it."""
+        """Return the grasps of all recordings, as recorded: a row a grasp, with the truths and sessions of today.
+
+        `.to_pandas()` makes a data frame of it, if pandas is installed.
+        """
         from pyarrow import BufferReader, parquet  # slow imports, which few programs need
 
         answer = await self._rest_client.request("GET", "/api/grasps.parquet", timeout=TABLE_TIMEOUT_S)

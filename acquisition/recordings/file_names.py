@@ -19,8 +19,15 @@ def is_reference_run(run_id: str) -> bool:
 
 
 def list_run_files(folder: Path) -> list[Path]:
-    """Return the MCAP recordings in a folder, by name, without those of demonstrations."""
-    return sorted(path for path in folder.glob("*.mcap") if not path.name.startswith(DEMO_ID_PREFIX))
+    """Return the MCAP recordings in a folder, by name, without those of demonstrations.
+
+    A link out of the folder is left out, and so is what is no file, or has a name that cannot be printed.
+    """
+    folder = folder.resolve()
+    found = (path for path in folder.glob("*.mcap") if not path.name.startswith(DEMO_ID_PREFIX))
+    return sorted(
+        path for path in found if path.name.isprintable() and path.is_file() and path.resolve().parent == folder
+    )
 
 
 def has_recording_suffix(name: str) -> bool:

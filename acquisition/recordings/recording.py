@@ -157,11 +157,6 @@ class RecordingSource:
     def duration_s(self) -> float:
         return float(self._recorded.ticks[-1] + 1) / self._rate_hz
 
-    @property
-    def run_start_s(self) -> float:
-        """Time of the run's first sample; 0 in another program's log."""
-        return float(self._recorded.ticks[min(self._recorded.run_ids_by_row, default=0)]) / self._rate_hz
-
     def skip_to_run(self) -> None:
         """Skip the samples before the run, because its estimates depend on its own samples alone."""
         self._row = self._skipped_rows = min(self._recorded.run_ids_by_row, default=0)

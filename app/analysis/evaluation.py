@@ -23,8 +23,8 @@ EXPLANATION = (
     "Log loss has a floor of 0.001 for the probability of the truth. Times count from contact."
 )
 
-GROUPS = ("truth", "recording", "spot", "session", "subject", "tool")
-"""What figures are given by, in a table each, where there is more than one."""
+BREAKDOWNS = ("truth", "recording", "spot", "session", "subject", "tool")
+"""Columns by which figures are broken down; each gets a table if it has several values."""
 
 Row = Mapping[str, Any]
 
@@ -39,8 +39,8 @@ class JudgedGrasp:
     label: str
     probabilities: dict[str, float]
     decided_s: float | None
-    groups: dict[str, str]
-    """What the grasp belongs to, by the names of GROUPS."""
+    categories: dict[str, str]
+    """The grasp's value of each column of BREAKDOWNS."""
 
     @property
     def right_answer(self) -> str:
@@ -87,9 +87,9 @@ def evaluate_answers(groups: Mapping[str, Sequence[Row]], about: dict[str, Any])
         study.figures += _build_figures(f"{name}: " if len(groups) > 1 else "", grasps)
     for name, grasps in judged.items():
         study.parts.append(_build_confusion(name, grasps))
-        for what in GROUPS:
-            if what == "truth" or len({each.groups[what] for each in grasps}) > 1:
-                study.parts.append(_build_by(what, name, grasps))
+        for what in BREAKDOWNS:
+            if what == "truth" or len({each.categories[what] for each in grasps}) > 1:
+                study.parts.append(_build_breakdown(what, name, grasps))
         study.parts.append(_build_review_queue(name, grasps))
         study.parts.append(
             Table(f"Left out: {name}", ["grasps", "why"], [[n, why] for why, n in left_out[name].items()])
@@ -127,7 +127,7 @@ def _select(rows: Sequence[Row]) -> tuple[list[JudgedGrasp], dict[str, int]]:
                 row["label"],
                 probabilities,
                 row["time_to_decision_s"],
-                {name: str(row[name] or "–") for name in GROUPS}
+                {name: str(row[name] or "–") for name in BREAKDOWNS}
                 | {"truth": truth, "spot": f"{row['recording']}, {row['spot'] or '–'}"},
             )
         )
@@ -166,17 +166,17 @@ def _build_confusion(name: str, grasps: list[JudgedGrasp]) -> Table:
     return Table(f"What was answered: {name}", ["truth", "grasps", *answers], rows)
 
 
-def _build_by(what: str, name: str, grasps: list[JudgedGrasp]) -> Table:
+def _build_breakdown(column: str, name: str, grasps: list[JudgedGrasp]) -> Table:
     rows = []
-    for group in sorted({each.groups[what] for each in grasps}):
-        own = [each for each in grasps if each.groups[what] == group]
+    for group in sorted({each.categories[column] for each in grasps}):
+        own = [each for each in grasps if each.categories[column] == group]
         named = [each for each in own if each.is_named]
         right = sum(each.label == each.right_answer for each in named)
         likeliest = sum(each.likeliest == each.right_answer for each in own)
         probability = float(np.mean([each.of_truth for each in own]))
         rows.append([group, len(own), likeliest, right, len(named) - right, probability])
-    columns = [what, "grasps", "likeliest right", "named right", "named wrong", "mean probability of the truth"]
-    return Table(f"By {what}: {name}", columns, rows)
+    columns = [column, "grasps", "likeliest right", "named right", "named wrong", "mean probability of the truth"]
+    return Table(f"By {column}: {name}", columns, rows)
 
 
 def _build_review_queue(name: str, grasps: list[JudgedGrasp]) -> Table:

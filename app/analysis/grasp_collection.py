@@ -30,7 +30,10 @@ from config.schema import Settings, TissueLibrary, Tool
 
 @dataclass(frozen=True, slots=True)
 class EstimationContext:
-    """How grasps are estimated: as recorded if `library` is None; other files with `default_library`."""
+    """Tool, settings and library to estimate grasps with.
+
+    If `library` is None, MCAP recordings keep their recorded answers, and other files use `default_library`.
+    """
 
     tool: Tool
     settings: Settings
@@ -47,7 +50,7 @@ class Corrections:
 
     @classmethod
     def from_index(cls, store: Store) -> "Corrections":
-        """Read all of them.
+        """Read all stated truths and laboratory sessions from the index.
 
         Raises:
             ServiceError: the index is at fault.
@@ -63,7 +66,10 @@ NO_CORRECTIONS = Corrections({}, {})
 
 @dataclass(frozen=True, slots=True)
 class CollectionJob:
-    """One recording, and the truth given on the command line. With `may_be_left_out`, it need not be readable."""
+    """One recording to collect grasps from. `how` None: as recorded. `label`: truth from the command line.
+
+    With `may_be_left_out`, an unreadable recording gives a problem instead of an error.
+    """
 
     path: Path
     how: EstimationContext | None
@@ -114,7 +120,10 @@ def _collect_rows(job: CollectionJob) -> list[Row]:
     context = recorded.context if recorded else GraspContext(recording=path.name, recorded_at=at and at.isoformat())
     context = replace(context, tool=recording.tool.name, library=library.name, force_scale=made.force_scale)
     truths = recorded.truths if recorded else {}
-    return build_grasp_rows(context, made.grasps, made.spots, truths, recording.run_start_s)
+    run_start_s = recorded.run_start_s if recorded else 0.0
+    if run_start_s is not None:  # the records' times count from the recording's first sample
+        run_start_s -= recording.first_tick / recording.tool.board.sample_rate_hz
+    return build_grasp_rows(context, made.grasps, made.spots, truths, run_start_s)
 
 
 def _read_corrected(path: Path, corrections: Corrections) -> RecordedGrasps:
@@ -148,4 +157,4 @@ def send_grasp_table(send: SendMessage, paths: list[Path], corrections: Correcti
     rows = [row for each in found for row in each.rows]
     out = pa.BufferOutputStream()
     write_table(build_table(rows), suffix, out)
-    send((out.getvalue().to_pybytes(), [each.problem for each in found if each.problem]))
+    send((out.getvalue().to_pybytes(), sum(each.problem is not None for each in found)))

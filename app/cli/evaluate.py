@@ -28,7 +28,9 @@ def evaluate(
     recordings: Annotated[
         list[Path] | None, typer.Argument(metavar="FILE...", help="Recordings: .mcap, LabVIEW's .lvm, or tables.")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="All recordings of the data folder.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="All recordings of the data folder that can be read.")
+    ] = False,
     label: Annotated[
         list[str] | None, typer.Option(metavar=LABEL_METAVAR, help=f"{LABEL_HELP} It counts as the grasps' truth.")
     ] = None,
@@ -62,10 +64,10 @@ def evaluate(
     from app.analysis.evaluation import evaluate_answers
     from app.analysis.grasp_collection import EstimationContext  # slow imports, made after the options are checked
 
-    corrections, named = read_corrections(files, own, settings), {*(recordings or []), *labels}
+    corrections, required_files = read_corrections(files, own, settings), {*(recordings or []), *labels}
     groups = {
         each.name if each else AS_RECORDED.format(default.name): collect(
-            files, EstimationContext(log_tool, settings, each, each or default), corrections, labels, named
+            files, EstimationContext(log_tool, settings, each, each or default), corrections, labels, required_files
         )
         for each in (libraries.values() if libraries else [None])
     }

@@ -32,7 +32,10 @@ def find_files(
     files += [path for path in labeled if path not in files]
     if everything:
         files += list_run_files(find_data_folder(data, settings) / "recordings")
-    files = list({path.resolve(): path for path in files}.values())
+    by_place: dict[Path, Path] = {}
+    for path in files:
+        by_place.setdefault(path.resolve(), path)  # as it was named, because labels go by that
+    files = list(by_place.values())
     if not files:
         raise ConfigurationError("Name recordings, or take all of the data folder with --all.")
     for path in files:
@@ -61,19 +64,20 @@ def collect(
     how: "EstimationContext",
     corrections: "Corrections",
     labels: dict[Path, str],
-    named: Collection[Path],
+    required_files: Collection[Path],
 ) -> list["Row"]:
     """Return the rows of all files, in their order; several processes work on them.
 
-    A file that cannot be read is left out with a note, unless it is one of `named`.
+    A file that cannot be read is left out with a note, unless it is one of `required_files`.
 
     Raises:
-        RecordingError: a named file cannot be read.
+        RecordingError: a required file cannot be read.
+        ConfigurationError: the library was learned with another tool.
     """
     from app.analysis.grasp_collection import CollectionJob, collect_grasps
     from estimator.studies.case_runner import run_cases
 
-    wanted = [CollectionJob(path, how, corrections, labels.get(path), path not in named) for path in files]
+    wanted = [CollectionJob(path, how, corrections, labels.get(path), path not in required_files) for path in files]
     with ProgressBar("grasps", float(len(files))) as progress:
         if len(files) == 1:
             found = [collect_grasps(wanted[0])]

@@ -55,7 +55,9 @@ def grasps(
     recordings: Annotated[
         list[Path] | None, typer.Argument(metavar="FILE...", help="Recordings: .mcap, LabVIEW's .lvm, or tables.")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="All recordings of the data folder.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="All recordings of the data folder that can be read.")
+    ] = False,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the table to this .parquet or .csv file.")
     ] = None,

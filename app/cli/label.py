@@ -10,13 +10,11 @@ import typer
 from app.cli.console import print_note
 from app.cli.options import ConfigOption, DataOption, find_data_folder
 from app.host.computer_user import computer_user_name
-from app.messages.annotations import GraspRemark, GraspTruth
+from app.messages.annotations import MAX_PLACE_LETTERS, GraspRemark, GraspTruth
 from app.messages.journal import JournalEntry, JournalKind
 from config.errors import ConfigurationError, JournalError, RecordingError
 from config.load import load_settings
 from config.tissue_names import normalize_tissue_name
-
-MAX_PLACE_LETTERS = 80
 
 
 def label(
@@ -28,19 +26,25 @@ def label(
         list[int] | None, typer.Option(min=1, metavar="N", help="Only this grasp; repeat it for more. Default: all.")
     ] = None,
     remark: Annotated[GraspRemark | None, typer.Option(help="What was peculiar about the grasps.")] = None,
-    place: Annotated[str | None, typer.Option(metavar="TEXT", help="Place on the organ.")] = None,
+    place: Annotated[
+        str | None, typer.Option(metavar="TEXT", help="Place on the organ; without: as stated before.")
+    ] = None,
     why: Annotated[str | None, typer.Option(metavar="TEXT", help="Reason, where earlier statements change.")] = None,
     config: ConfigOption = None,
     data: DataOption = None,
 ) -> None:
     """State or correct what was held in the grasps of a recording. The journal keeps every statement.
 
+    A statement replaces tissue and remark of the earlier one; its place stays.
+
     Example: graspwatch label 20261201-101500-7f3a-001 --held liver --grasp 1 --grasp 2
     """
     settings = load_settings(config)
     folder = find_data_folder(data, settings)
     if held is None and remark is None and place is None and why is None:
-        raise ConfigurationError("Say what was held with --held or --remark; to take a statement back, say --why.")
+        raise ConfigurationError(
+            "Say what was held with --held, --remark or --place; to take a statement back, say --why."
+        )
     if place is not None and not 0 < len(place.strip()) <= MAX_PLACE_LETTERS:
         raise ConfigurationError(f"--place: write 1 to {MAX_PLACE_LETTERS} letters.")
     tissue = normalize_tissue_name(held, "--held") if held else None
@@ -80,7 +84,7 @@ def label(
                     grasp=index,
                     held=tissue,
                     remark=remark,
-                    place=place,
+                    place=place.strip() if place else before[index].place if index in before else None,
                     version=before[index].version + 1 if index in before else 1,
                     by=by,
                     at=at,

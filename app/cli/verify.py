@@ -17,9 +17,9 @@ def verify(
     data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a recording: its pieces, its samples, the manifest of what it was recorded with, and the journal.
+    """Check a recording: its file, samples and manifest, and that the journal knows it.
 
-    The journal holds the SHA-256 of each file that a service completed. Exit code 3: something is not as it was made.
+    The journal holds the SHA-256 of each file that a service completed. Exit code 3: a check failed.
 
     Example: graspwatch verify 20261127-101500-001
     """
@@ -33,15 +33,18 @@ def verify(
     around = path.resolve().parent.parent  # the data folder, if the recording lies where it was made
     folder = around if data is None and find_journals(around) else locate_data_folder(data, load_settings(config))
     findings = verify_recording(path, folder if folder.is_dir() else None)
-    wrong = [each for each in findings if each.outcome is Outcome.WRONG]
+    failed = [each for each in findings if each.outcome is Outcome.FAILED]
     if as_json:
-        document = {"recording": str(path), "right": not wrong, "findings": [asdict(each) for each in findings]}
+        document = {"recording": str(path), "passed": not failed, "findings": [asdict(each) for each in findings]}
         print(json.dumps(document, indent=2))
     else:
         table = Table("", "Outcome", "What was found", title=path.name)
         for each in findings:
             table.add_row(each.subject, each.outcome.value, each.text)
         create_console().print(table)
-    if wrong:
-        what = "; ".join(f"{each.subject}: {each.text}" for each in wrong)
-        raise RecordingError(f"{path} is not as it was made. {what}. Take a backup, and keep this file as it is.")
+    if failed:
+        what = "; ".join(f"{each.subject}: {each.text}" for each in failed)
+        raise RecordingError(
+            f"{path} does not match its records: {what}. Restore the recording from a backup, and keep this file "
+            "unchanged for an investigation."
+        )

@@ -69,7 +69,8 @@ def _check_tissue_name(name: str) -> str:
 
 
 TissueName = Annotated[str, Field(max_length=100), AfterValidator(_check_tissue_name)]
-PlaceText = Annotated[str, Field(min_length=1, max_length=80, pattern=r"\S")]
+MAX_PLACE_LETTERS = 80
+PlaceText = Annotated[str, Field(min_length=1, max_length=MAX_PLACE_LETTERS, pattern=r"\S")]
 MarkText = Annotated[str, Field(min_length=1, max_length=200, pattern=r"\S")]
 
 

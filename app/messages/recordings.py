@@ -42,8 +42,9 @@ class RunManifest(Record):
     )
     versions: dict[str, str] = Field(description="Versions of Graspwatch, Python and the computing packages")
     system: str = Field(description="Operating system")
-    session: str | None = Field(description="Id of the laboratory session")
-    realtime: dict[str, str] = Field(description="Scheduling that the system granted each process, as far as known")
+    realtime: dict[str, str] = Field(
+        description="Scheduling that the system granted acquisition and estimator, as far as the recorder knew it"
+    )
     sha256: dict[str, str] = Field(description="SHA-256 of each attachment, hexadecimal")
 
 
@@ -51,7 +52,6 @@ class CompletedFile(Record):
     """A recording's file as it was when it was completed."""
 
     name: str
-    size_bytes: int
     sha256: str = Field(description="SHA-256 of the whole file, hexadecimal")
 
 

@@ -49,8 +49,8 @@ class RecordedGrasps:
     grasps: tuple[GraspRecord, ...]
     spots: tuple[SpotVerdict, ...]
     truths: dict[int, GraspTruth]
-    run_start_s: float
-    """Time of the run's first sample, by the clock of the grasps' times."""
+    run_start_s: float | None
+    """Time of the run's first sample, by the clock of the grasps' times; None: not known."""
 
 
 def read_recorded_grasps(path: Path) -> RecordedGrasps:
@@ -61,16 +61,14 @@ def read_recorded_grasps(path: Path) -> RecordedGrasps:
     """
     container = McapFile(path)
     about = container.metadata
-    try:
-        run_start_s = int(about["run_first_tick"]) / float(about["sample_rate_hz"])
-    except (KeyError, ValueError, ArithmeticError):
-        raise RecordingError(f"{path}: does not say where its run begins. {COPY_AGAIN_TEXT}") from None
+    run_start_s = _read_run_start(container)
     grasps: dict[int, GraspRecord] = {}
     truths: dict[int, GraspTruth] = {}
     spots: tuple[SpotVerdict, ...] = ()
     run: Run | None = None
     for each in container.iter_content(GRASP_TOPIC, IDENTIFICATION_TOPIC, JOURNAL_TOPIC, RUN_TOPIC):
-        assert isinstance(each, JsonMessage)
+        if not isinstance(each, JsonMessage):
+            raise RecordingError(f"{path}: its messages {each.topic} are none of this program.")
         try:
             message = decode_message(each.topic, each.content)
         except ValueError as error:
@@ -97,6 +95,24 @@ def read_recorded_grasps(path: Path) -> RecordedGrasps:
         force_scale=about.get("force_scale"),
     )
     return RecordedGrasps(context, tuple(grasps.values()), spots, truths, run_start_s)
+
+
+def _read_run_start(container: McapFile) -> float | None:
+    """Return the time of the run's first sample, s; None if that is in another file, which is not here.
+
+    Raises:
+        RecordingError: the file does not say it.
+    """
+    about = container.metadata
+    if continued := about.get("continues"):
+        first = container.path.with_name(f"{continued}{container.path.suffix}")
+        if not first.is_file():
+            return None
+        about = McapFile(first).metadata
+    try:
+        return int(about["run_first_tick"]) / float(about["sample_rate_hz"])
+    except (KeyError, ValueError, ArithmeticError):
+        raise RecordingError(f"{container.path}: does not say where its run begins. {COPY_AGAIN_TEXT}") from None
 
 
 def _read_lab_session(container: McapFile) -> LabSession | None:
@@ -136,11 +152,12 @@ def build_grasp_rows(
     grasps: Iterable[GraspRecord],
     spots: Sequence[SpotVerdict],
     truths: dict[int, GraspTruth],
-    run_start_s: float,
+    run_start_s: float | None,
 ) -> list[Row]:
     """Return a row for each grasp. Names carry their units; each tissue's value has a column of its own.
 
-    `start_s`, `contact_s` and `end_s` count from the first sample of the run, which is at `run_start_s` of the records.
+    `start_s`, `contact_s` and `end_s` count from the run's first sample. `run_start_s` is its time by the clock of the
+    records; None: not known, and the three are empty.
     """
     rows = []
     for grasp in grasps:
@@ -158,7 +175,9 @@ def build_grasp_rows(
             "spot_probability": spot.probability if spot else None,
         }
         times = {name: getattr(grasp, name) for name in TIME_COLUMNS}
-        since_start = {name: None if at is None else at - run_start_s for name, at in times.items()}
+        since_start = {
+            name: None if at is None or run_start_s is None else at - run_start_s for name, at in times.items()
+        }
         rows.append(row | flatten_grasp(grasp) | since_start)
     return rows
 

@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 
 from app import __version__
+from app.audit.hash_chain import sha256_hex
 from app.messages.recordings import RunManifest
 
 VERSIONED_PACKAGES = ("numpy", "scipy", "numba", "nidaqmx", "mcap")  # their versions affect the recorded values
@@ -46,22 +47,27 @@ def find_commit() -> str | None:
 
 
 def build_manifest(
-    metadata: Mapping[str, str], attachments: Mapping[str, bytes], session: str | None, realtime: Mapping[str, str]
+    metadata: Mapping[str, str], attachments: Mapping[str, bytes], realtime: Mapping[str, str]
 ) -> RunManifest:
     """Return the manifest of a recording with these metadata and attachments.
 
-    `session`: id of the laboratory session. `realtime`: the scheduling that the system granted each process.
+    `realtime`: the scheduling that the system granted each process.
     """
     return RunManifest(
         metadata=dict(metadata),
         commit=find_commit(),
         versions=collect_versions(),
         system=platform.platform(),
-        session=session,
         realtime=dict(realtime),
         sha256={name: sha256_hex(content) for name, content in attachments.items()},
     )
 
 
-def sha256_hex(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+def digest_file(path: Path) -> str:
+    """Return the SHA-256 of a file, hexadecimal.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

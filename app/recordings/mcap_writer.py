@@ -105,18 +105,18 @@ class McapRunWriter:
         attachments: Mapping[str, bytes],
         wall_offset_ns: int,
         *,
-        session: str | None = None,
         realtime: Mapping[str, str] | None = None,
     ) -> None:
         """`metadata`: run id, first tick of the run and the like; `wall_offset_ns`: from `t_mono_ns` to ns since 1970.
 
-        `session` (a laboratory session's id) and `realtime` (scheduling granted to each process) are for the manifest.
+        `realtime`: scheduling that the system granted each process, for the manifest.
 
         Raises:
             OSError: the file cannot be created; an existing file is never overwritten.
         """
         self.path = path
         self.samples = self.lost_samples = 0
+        self._absent_samples, self._next_tick = 0, -1  # between the blocks, whoever lost them
         self._wall_offset_ns = wall_offset_ns  # constant, because the computer's clock may be set meanwhile
         self._tissues = list(recording_context.library.tissues)
         self._sample_period_ns = 1e9 / recording_context.tool.board.sample_rate_hz
@@ -129,7 +129,7 @@ class McapRunWriter:
         self._sync_future: Future[None] | None = None  # the last sync
         self._sync_started_s = 0.0
         try:
-            self._begin_file(recording_context, metadata, attachments, session, realtime or {})
+            self._begin_file(recording_context, metadata, attachments, realtime or {})
         except BaseException:  # a file that does not even begin is of no use, and would be in the way of another try
             self.abandon()
             path.unlink(missing_ok=True)
@@ -140,7 +140,6 @@ class McapRunWriter:
         recording_context: RecordingContext,
         metadata: Mapping[str, str],
         attachments: Mapping[str, bytes],
-        session: str | None,
         realtime: Mapping[str, str],
     ) -> None:
         """Write what the file says of itself, and declare its topics."""
@@ -150,7 +149,7 @@ class McapRunWriter:
         metadata = self._build_metadata(recording_context, metadata)
         self._writer.add_metadata(mcap_layout.METADATA_NAME, metadata)
         now_ns, attachments = time.time_ns(), {**recording_context.attachments(), **attachments}
-        manifest = build_manifest(metadata, attachments, session, realtime)
+        manifest = build_manifest(metadata, attachments, realtime)
         attachments[mcap_layout.MANIFEST_ATTACHMENT] = manifest.model_dump_json(indent=2).encode()
         for name, data in attachments.items():
             self._writer.add_attachment(now_ns, now_ns, name, "application/json", data)
@@ -189,6 +188,9 @@ class McapRunWriter:
         if self._clock_anchor is None:
             last_tick = int(block.samples["tick"][-1])
             self._clock_anchor = (last_tick + 1, block.t_mono_ns + self._wall_offset_ns)
+        first_tick = int(block.samples["tick"][0])
+        self._absent_samples += first_tick - self._next_tick if self._next_tick >= 0 else 0
+        self._next_tick = int(block.samples["tick"][-1]) + 1
         self.samples += len(block.samples)
         self.lost_samples += block.lost_samples
         self._pending_samples.append(block)
@@ -269,7 +271,11 @@ class McapRunWriter:
                 self.flush(sync=False)
             if self._sync_future:
                 self._sync_future.result()
-            counts = {"samples": str(self.samples), "lost_samples": str(self.lost_samples)}
+            counts = {
+                "samples": str(self.samples),
+                "lost_samples": str(self.lost_samples),
+                "absent_samples": str(self._absent_samples),
+            }
             self._writer.add_metadata(mcap_layout.END_METADATA_NAME, counts | end_metadata)
             self._writer.finish()
             self._file.flush()

@@ -11,7 +11,6 @@ from acquisition.recordings import mcap_layout
 from acquisition.recordings.file_names import DEMO_ID_PREFIX
 from acquisition.sample_block import SampleBlock
 from app.host.disk import free_bytes
-from app.messages.lab_sessions import LabSession
 from app.messages.runs import Run, RunState
 from app.messages.stored import read_stored
 from app.recordings.mcap_writer import FLUSH_PERIOD_S, RECORDING_SUFFIX, McapRunWriter, RecordingContext
@@ -171,7 +170,7 @@ class Recorder:
             "first_tick": str(int(first.samples["tick"][0])),
             "wall_offset_ns": str(self._wall_offset_ns),
         }
-        attachments, session = {}, None
+        attachments = {}
         if known:
             about |= {"cycles": str(known.cycles), "tissue": known.tissue or "", "by": known.by or ""}
             about["protocol"] = GraspProtocol.model_validate_json(known.protocol).name
@@ -180,19 +179,12 @@ class Recorder:
                 attachments[mcap_layout.REFERENCE_ATTACHMENT] = known.reference.encode()
             if known.session:
                 attachments[mcap_layout.SESSION_ATTACHMENT] = known.session.encode()
-                session = read_stored(LabSession, known.session).id
         path = self._find_unused_path(block.run)
         if path.stem != block.run:
             about["continues"] = block.run
         try:
             self.file = McapRunWriter(
-                path,
-                self._recording_context,
-                about,
-                attachments,
-                self._wall_offset_ns,
-                session=session,
-                realtime=self.realtime,
+                path, self._recording_context, about, attachments, self._wall_offset_ns, realtime=self.realtime
             )
         except OSError as error:
             raise self._make_stopped_error(path, error) from None

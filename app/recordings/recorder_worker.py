@@ -1,5 +1,6 @@
 """The recorder worker: the process that writes the bus's samples, estimates and messages, run by run."""
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from acquisition.notices import (
     Estimating,
     Notice,
     RecorderStatus,
-    RecordingFileComplete,
+    RecordingFileClosed,
     RecordingRecovered,
     RecordingStopped,
     RunEnded,
@@ -24,15 +25,17 @@ from acquisition.worker_life import begin_worker
 from acquisition.worker_process import ProcessEndFlag, limit_memory, take_server_priority
 from app.messages.runs import RunState
 from app.recordings.file_repair import recover_folder
-from app.recordings.manifest import find_commit, sha256_hex
+from app.recordings.manifest import digest_file, find_commit
 from app.recordings.mcap_writer import RecordingContext
 from app.recordings.recorder import Recorder, RecordingStoppedError
 from config.schema import Tool
 from estimator.estimate_messages import unpack_estimate_rows
 
 READ_PERIOD_S = 0.02
-"""Messages are read together at this interval: to wake up for each of them cost as much as to record it."""
+"""Messages are read together at this interval: waking up for each of them costs as much as recording it."""
 MAX_MESSAGES_PER_TURN = 100  # so that a backlog does not silence the recorder
+MAX_LAST_TURNS = 10
+CONNECTION_TIME_S = 1.0  # until the server receives what is published; earlier notices may be lost
 STATUS_PERIOD_S = 0.1
 
 
@@ -73,22 +76,32 @@ class _RecorderWorker:
     def run(self, blocks: zmq.Socket, events: zmq.Socket, stop: ProcessEndFlag) -> None:
         """Run until the flag is set, then complete the file."""
         find_commit()  # for the manifests: it may take longer than a run's start allows
-        for path in recover_folder(self._setup.folder):
-            content = path.read_bytes()
-            self._publish_notice(RecordingRecovered(path.name, len(content), sha256_hex(content)))
+        recovered, started_s = list(recover_folder(self._setup.folder)), time.monotonic()
         while not stop.is_set:
             if not self._read_messages(blocks, events):
                 time.sleep(READ_PERIOD_S)
             if time.monotonic() - self._last_status_s > STATUS_PERIOD_S:
                 self._priority.renew()
                 self._publish_status()
+            if recovered and time.monotonic() - started_s > CONNECTION_TIME_S:
+                self._publish_recovered(recovered.pop())
+        for _ in range(MAX_LAST_TURNS):  # what the server said last, such as how the run ended
+            if not self._read_messages(blocks, events):
+                break
+        for path in recovered:
+            self._publish_recovered(path)
         self._run_and_report(lambda: self._recorder.close_file("the service was ended"))
         self._publish_status()
+
+    def _publish_recovered(self, path: Path) -> None:
+        with contextlib.suppress(FileNotFoundError):  # it was deleted meanwhile
+            self._publish_notice(RecordingRecovered(path.name, digest_file(path)))
 
     def _read_messages(self, blocks: zmq.Socket, events: zmq.Socket) -> bool:
         """Handle the messages that wait, and return whether there may be more.
 
-        Events are received after the blocks and handled before them: a run is announced before its first block is made.
+        Blocks are received first and events handled first. A run is announced before its first block, so the recorder
+        then knows the run of every block.
         """
         received = _receive_waiting(blocks)
         for parts in (*_receive_waiting(events), *received):
@@ -133,7 +146,7 @@ class _RecorderWorker:
         """Publish the recorder's state, which is also its sign of life."""
         self._last_status_s = time.monotonic()
         for path, sha256 in self._recorder.finished_files.items():
-            self._publish_notice(RecordingFileComplete(path.name, path.stat().st_size if path.exists() else 0, sha256))
+            self._publish_notice(RecordingFileClosed(path.name, sha256))
         self._recorder.finished_files.clear()
         file = self._recorder.file
         self._publish_notice(

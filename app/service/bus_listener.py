@@ -9,7 +9,7 @@ from acquisition import bus
 
 MAX_MESSAGES_PER_TURN = 10  # of one bus socket, before other tasks of the event loop run
 READ_PERIOD_S = 0.01
-"""Messages are read together at this interval: to wake up for each of them cost as much time as to handle it."""
+"""Messages are read together at this interval: waking up for each of them costs as much time as handling it."""
 
 
 class BusListener:

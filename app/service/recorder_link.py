@@ -3,15 +3,16 @@
 import asyncio
 from pathlib import Path
 
-from acquisition.notices import Notice, RecorderStatus, RecordingFileComplete, RecordingRecovered, RecordingStopped
+from acquisition.notices import Notice, RecorderStatus, RecordingFileClosed, RecordingRecovered, RecordingStopped
 from acquisition.recordings.file_names import DEMO_ID_PREFIX
+from acquisition.recordings.mcap_reader import McapFile
 from app.messages.journal import JournalKind
 from app.messages.live import RECORDER_OFF, RecordingState
 from app.messages.recordings import CompletedFile, FileRecord
 from app.recordings.index_reader import read_file_record
-from app.recordings.manifest import sha256_hex
-from app.recordings.verification import read_complete_file
+from app.recordings.manifest import digest_file
 from app.service.publisher import Publisher
+from config.errors import RecordingError
 from config.service_plan import ServicePlan
 from estimator.force_alarms import Priority
 
@@ -29,23 +30,23 @@ class RecorderLink:
         match notice:
             case RecorderStatus():
                 self._update_state(notice)
-            case RecordingFileComplete():
+            case RecordingFileClosed():
                 self._index_file(self._recordings_folder / notice.file)
                 if notice.sha256:
-                    self._write_completed(notice.file, notice.size_bytes, notice.sha256)
+                    self._write_completed(notice.file, notice.sha256)
             case RecordingRecovered():
                 self._publisher.publish_event(f"The recording {notice.file} had been cut off, and was made whole")
                 self._index_file(self._recordings_folder / notice.file)
-                self._write_completed(notice.file, notice.size_bytes, notice.sha256)
+                self._write_completed(notice.file, notice.sha256)
             case RecordingStopped():
                 self._mark_stopped(notice.text)
                 self._alarms.raise_technical("recording", Priority.MEDIUM, notice.text)
                 self._publisher.publish_event(notice.text)
 
-    def _write_completed(self, name: str, size_bytes: int, sha256: str) -> None:
+    def _write_completed(self, name: str, sha256: str) -> None:
         """Write a file's SHA-256 into the journal, by which `graspwatch verify` knows it later; no demonstration's."""
         if not name.startswith(DEMO_ID_PREFIX):
-            completed = CompletedFile(name=name, size_bytes=size_bytes, sha256=sha256)
+            completed = CompletedFile(name=name, sha256=sha256)
             self._publisher.journal.write(JournalKind.EVENT, f"The recording {name} is complete", completed=completed)
 
     def on_worker_death(self, text: str) -> None:
@@ -85,7 +86,14 @@ class RecorderLink:
         if self.state.file:
             path = self._recordings_folder / self.state.file
             self._index_file(path)
-            content = await asyncio.to_thread(read_complete_file, path)
-            if content:
-                self._write_completed(path.name, len(content), sha256_hex(content))
+            if sha256 := await asyncio.to_thread(_digest_if_complete, path):
+                self._write_completed(path.name, sha256)
         await asyncio.gather(*self._file_read_tasks, return_exceptions=True)
+
+
+def _digest_if_complete(path: Path) -> str | None:
+    """Return the SHA-256 of a recording, or None if it is not complete or cannot be read."""
+    try:
+        return digest_file(path) if McapFile(path).complete else None
+    except (OSError, RecordingError):
+        return None

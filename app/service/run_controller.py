@@ -164,6 +164,7 @@ class RunController:
         if run is None:
             raise RefusedError("The run has just ended. Each run begins a new spot.")
         self._annotations.on_new_spot()
+        self._state.publish()  # at once: what counted for the spot before is stated no more
         self._publisher.publish_event("A new spot begins", JournalKind.RUN, by, run)
         return run
 

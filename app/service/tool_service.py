@@ -78,7 +78,7 @@ class ToolService:
         self.lab_sessions = sessions = LabSessions(plan.settings.laboratory, publisher, store)
         self._live_stream = live = LiveStream(plan, publisher, runs, annotations, metrics, log_context)
         is_replay = bool(plan.opened_recordings)
-        self._hello = build_hello(plan, plan.tool, recording=is_replay)  # once: it takes as long as a frame
+        self._hello = build_hello(plan, plan.tool, recording=is_replay)  # built once, because it takes 10 ms
         self.state = state = StateReporter(
             publisher,
             supervisor,

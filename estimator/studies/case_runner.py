@@ -52,7 +52,7 @@ def _start(
     """Return an iterator over the results, in order; a pool of processes that computes them ends with `pools`."""
     try:
         pool = ProcessPoolExecutor(jobs, initializer=_initialize_case_process)
-        pools.callback(pool.shutdown, cancel_futures=True)
+        pools.callback(_shut_down, pool)
         return pool.map(work, todo, chunksize=max(1, min(16, len(todo) // (4 * jobs))))
     except OSError as error:
         if jobs == 1:
@@ -61,6 +61,11 @@ def _start(
             f"The system refuses {jobs} processes that share memory ({error.strerror}). Give the program /dev/shm and "
             "more processes (`ulimit -u`), or repeat it with --jobs 1."
         ) from None
+
+
+def _shut_down(pool: ProcessPoolExecutor) -> None:
+    with contextlib.suppress(RuntimeError):  # a signal came while the pool's thread was starting
+        pool.shutdown(cancel_futures=True)
 
 
 def _end_case_processes() -> None:

@@ -2,22 +2,27 @@
 
 from collections.abc import Iterable
 
-PALETTE = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#0072b2", "#f0e442", "#d55e00")
+TISSUE_PALETTE = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#0072b2", "#f0e442", "#d55e00")
 """Okabe and Ito's palette, in the dashboard's order (`frontend/src/styles/theme.css`)."""
 UNKNOWN_COLOR = "#808b94"
-OWN_COLORS = dict(zip(("liver", "small_bowel", "bladder", "gallbladder"), PALETTE, strict=False))
+SHIPPED_TISSUE_COLORS = dict(zip(("liver", "small_bowel", "bladder", "gallbladder"), TISSUE_PALETTE, strict=False))
 """The tissues of the shipped library keep their colors in every library."""
 
 
 def assign_tissue_colors(names: Iterable[str]) -> dict[str, str]:
-    """Return a color for each name; no two are alike while there are free ones. `frontend/src/tissues.ts` has the same.
+    """Return a color for each name, as `frontend/src/tissues.ts` does.
 
-    A name's first choice is the same in every library.
+    A name keeps its first choice unless another one before it in the alphabet has taken it. No two are alike while
+    there are free colors.
     """
     names = list(names)
-    colors = {name: OWN_COLORS[name] for name in names if name in OWN_COLORS}
+    shipped = list(SHIPPED_TISSUE_COLORS.values())
+    choices = [*(color for color in TISSUE_PALETTE if color not in shipped), *shipped]
+    first_choices = len(choices) - len(shipped)
+    colors = {name: SHIPPED_TISSUE_COLORS[name] for name in names if name in SHIPPED_TISSUE_COLORS}
     for name in sorted(set(names) - colors.keys()):
-        free = [color for color in PALETTE if color not in colors.values()] or list(PALETTE)
-        preferred = [color for color in free if color not in OWN_COLORS.values()] or free
-        colors[name] = preferred[sum(map(ord, name)) % len(preferred)]
+        first = sum(map(ord, name)) % first_choices
+        in_turn = choices[first:] + choices[:first]
+        taken = set(colors.values())
+        colors[name] = next((color for color in in_turn if color not in taken), in_turn[0])
     return colors

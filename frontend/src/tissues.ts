@@ -3,7 +3,7 @@ import type { TissueInfo } from "./wire";
 /** Slots 1 to 7 are Okabe-Ito colors in `styles/theme.css`. The last slot is gray, for tissues outside the library. */
 const SLOTS = ["1", "2", "3", "4", "5", "6", "7"];
 /** The tissues of the shipped library keep their colors in every library. */
-const OWN_SLOTS: Record<string, string> = { liver: "1", small_bowel: "2", bladder: "3", gallbladder: "4" };
+const SHIPPED_SLOTS: Record<string, string> = { liver: "1", small_bowel: "2", bladder: "3", gallbladder: "4" };
 export const UNKNOWN_SLOT = "unknown";
 
 /** How every card and chart marks a tissue: a color by its name, and letters. */
@@ -25,17 +25,21 @@ export function tissueStyles(tissues: TissueInfo[]): TissueStyle[] {
   return [...styles, { name: "unknown", title: "Unknown", slot: UNKNOWN_SLOT, mark: "?" }];
 }
 
-/** Returns a slot for each name. No two are alike while there are free ones; a name's first choice is the same everywhere. */
+/**
+ * Returns a slot for each name. A name keeps its first choice unless another one before it in the alphabet has taken it;
+ * no two are alike while there are free slots. `estimator/studies/tissue_colors.py` does the same.
+ */
 function tissueSlots(names: string[]): Map<string, string> {
   const slots = new Map<string, string>();
-  for (const name of names) if (OWN_SLOTS[name]) slots.set(name, OWN_SLOTS[name]);
+  for (const name of names) if (SHIPPED_SLOTS[name]) slots.set(name, SHIPPED_SLOTS[name]);
+  const shipped = Object.values(SHIPPED_SLOTS);
+  const choices = [...SLOTS.filter((slot) => !shipped.includes(slot)), ...shipped];
+  const firstChoices = choices.length - shipped.length;
   for (const name of names.filter((each) => !slots.has(each)).toSorted()) {
+    const first = sumOfCodes(name) % firstChoices;
+    const inTurn = [...choices.slice(first), ...choices.slice(0, first)];
     const taken = new Set(slots.values());
-    const free = SLOTS.filter((slot) => !taken.has(slot));
-    const choices = free.length > 0 ? free : SLOTS;
-    const others = choices.filter((slot) => !Object.values(OWN_SLOTS).includes(slot));
-    const preferred = others.length > 0 ? others : choices;
-    slots.set(name, preferred[sumOfCodes(name) % preferred.length] ?? UNKNOWN_SLOT);
+    slots.set(name, inTurn.find((slot) => !taken.has(slot)) ?? inTurn[0] ?? UNKNOWN_SLOT);
   }
   return slots;
 }

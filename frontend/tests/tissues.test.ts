@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { describe, it } from "node:test";
 import { tissueStyles, UNKNOWN_SLOT } from "../src/tissues";
 import { tissue } from "./messages";
+import libraries from "./tissue-slots.json";
 
 const marksOf = (...titles: string[]): string[] => tissueStyles(titles.map((title) => tissue(title, title))).map(({ mark }) => mark);
 
@@ -39,5 +40,13 @@ describe("tissueStyles", () => {
     assert.equal(slotOf("liver", "bladder", "liver"), slotOf("liver", "liver", "spleen", "kidney"));
     assert.equal(slotOf("spleen", "spleen"), slotOf("spleen", "bladder", "liver", "spleen"));
     assert.notEqual(slotOf("spleen", "spleen", "liver"), slotOf("liver", "spleen", "liver"));
+  });
+
+  it("gives the colors of reports and pages of studies", () => {
+    // tests/estimator/studies/test_tissue_colors.py reads the same file
+    for (const slots of libraries as Record<string, string>[]) {
+      const styles = tissueStyles(Object.keys(slots).map((name) => tissue(name, name)));
+      assert.deepEqual(Object.fromEntries(styles.slice(0, -1).map(({ name, slot }) => [name, slot])), slots);
+    }
   });
 });

@@ -74,8 +74,9 @@ def test_a_recording_is_verified_by_the_journal_also_if_the_end_of_the_service_c
                 [PROGRAM, "verify", run_id, "--data", service.data, "--json"], capture_output=True, text=True
             )
             found = json.loads(done.stdout)
-            assert (done.returncode, found["right"]) == (0, True), done.stderr
-            assert {each["outcome"] for each in found["findings"]} == {"right"}, found
+            assert (done.returncode, found["passed"]) == (0, True), done.stderr
+            assert {each["outcome"] for each in found["findings"]} == {"passed"}, found
+        assert read_run(service.recording_file(second)).run.state == "stopped"  # what the server said last is in it
         path = service.recording_file(first)
         content = bytearray(path.read_bytes())
         content[len(content) // 2] ^= 1

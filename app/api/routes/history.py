@@ -1,6 +1,7 @@
 """Routes that query the index, which covers earlier services too: grasps, alarms, journal lines and recordings."""
 
 import asyncio
+from http import HTTPStatus
 from typing import Annotated, Literal, TypeVar
 
 from fastapi import APIRouter, Query, Request, Response
@@ -10,7 +11,7 @@ from app.analysis.grasp_collection import Corrections, send_grasp_table
 from app.api.dependencies import ToolServiceDep
 from app.host.background_process import run_in_background_process
 from app.http.pagination import set_paging_headers
-from app.http.problems import PROBLEM_RESPONSE
+from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.index.queries import AlarmQuery, AuditQuery, FileQuery, GraspQuery, PageQuery
 from app.index.store import Page
 from app.messages.alarms import Alarm
@@ -49,16 +50,24 @@ async def list_grasps(
         }
     },
 )
-async def download_grasp_table(tool_service: ToolServiceDep, suffix: Literal["parquet", "csv"]) -> Response:
+async def download_grasp_table(
+    request: Request, tool_service: ToolServiceDep, suffix: Literal["parquet", "csv"]
+) -> Response:
     """Return one table of the grasps of all recordings in the data folder: a row a grasp, as recorded.
 
-    It has the columns of `graspwatch grasps`. Demonstrations are left out. It takes about a second for 30 recordings.
+    It has the columns of `graspwatch grasps`, with the truths and sessions as they are now. Demonstrations are left
+    out, and so are recordings that cannot be read: `X-Left-Out` counts these. 30 recordings take about a second.
     """
+    headers = {"Content-Disposition": f'attachment; filename="grasps.{suffix}"'}
+    if request.method == "HEAD":  # builds nothing
+        return Response(media_type=TABLE_TYPES[suffix], headers=headers)
+    if _table_lock.locked():
+        raise ProblemError(HTTPStatus.CONFLICT, "Another table of grasps is being made. Try again in a moment.")
     writer = tool_service.index_writer
-    async with _table_lock:  # one after the other: a process for each request would slow a live tool
+    async with _table_lock:  # a process for each request would slow a live tool
         corrections = await writer.query(Corrections.from_index, writer.store)
         paths = await asyncio.to_thread(list_run_files, tool_service.plan.recordings_folder)
-        found: list[tuple[bytes, list[str]]] = []
+        found: list[tuple[bytes, int]] = []
         await run_in_background_process(
             "table",
             send_grasp_table,
@@ -69,8 +78,7 @@ async def download_grasp_table(tool_service: ToolServiceDep, suffix: Literal["pa
             advice="Ask for it again, or use `graspwatch grasps` with some of the recordings.",
         )
     content, left_out = found[0]
-    headers = {"Content-Disposition": f'attachment; filename="grasps.{suffix}"', "X-Left-Out": str(len(left_out))}
-    return Response(content, media_type=TABLE_TYPES[suffix], headers=headers)
+    return Response(content, media_type=TABLE_TYPES[suffix], headers=headers | {"X-Left-Out": str(left_out)})
 
 
 @router.get("/alarms/history", dependencies=[require_role(Role.VIEWER)])

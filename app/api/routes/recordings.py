@@ -66,8 +66,9 @@ def _matches(recording: RecordingInfo, query: RecordingQuery) -> bool:
     recorded = datetime.fromisoformat(recording.recorded_at)
     shown = [recording.name, recording.protocol, recording.tissue, recording.by, recording.subject]
     text = " ".join(filter(None, [*shown, *recording.labels, *recording.held])).replace("_", " ").casefold()
+    words = (query.q or "").replace("_", " ").casefold().split()
     return (
-        all(word in text or word in recording.name.casefold() for word in (query.q or "").casefold().split())
+        all(word in text for word in words)
         and (query.since is None or recorded >= query.since)
         and (query.until is None or recorded < query.until)
     )

@@ -76,7 +76,7 @@ export class RecordingsPage implements Page {
   }
 
   private show(): void {
-    const words = this.filter.value.toLowerCase().split(/\s+/);
+    const words = this.filter.value.toLowerCase().replaceAll("_", " ").split(/\s+/);
     const found = this.recordings.filter((recording) => words.every((word) => searchText(recording).includes(word)));
     this.rows.show(found.toSorted((a, b) => compare(a, b, this.column, this.descending)));
     const [none, all] = [this.recordings.length === 0, this.recordings.length];
@@ -109,8 +109,8 @@ const isBeingRead = ({ duration_s: known, problem }: RecordingInfo): boolean => 
 
 /** Returns everything that a row shows in words, in small letters. */
 const searchText = ({ name, protocol, tissue, by, subject, labels, held }: RecordingInfo): string => {
-  const shown = [protocol, tissue, by, subject, ...labels, ...held].filter(Boolean).join(" ").replaceAll("_", " ");
-  return `${name} ${shown}`.toLowerCase();
+  const shown = [name, protocol, tissue, by, subject, ...labels, ...held];
+  return shown.filter(Boolean).join(" ").replaceAll("_", " ").toLowerCase();
 };
 
 /** Compares two recordings by a column. Unknown values come last in both orders. */

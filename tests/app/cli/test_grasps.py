@@ -99,6 +99,13 @@ def test_a_recording_that_cannot_be_read_is_left_out_of_all_and_refused_by_name(
         broken.unlink()
 
 
+def test_a_label_counts_however_the_file_is_named(data: Path) -> None:
+    words = [PROGRAM, "grasps", "--all", "recordings/first.mcap", "--data", data]
+    named = ["--label", "spleen=recordings/first.mcap", "--where", "truth=spleen"]
+    done = subprocess.run([*words, *named], capture_output=True, text=True, cwd=data)
+    assert (done.returncode, "spleen" in done.stdout) == (0, True), done.stderr
+
+
 def test_answers_are_judged_by_the_labels(data: Path, tmp_path: Path) -> None:
     code, told, errors = graspwatch("evaluate", "--all", "--data", data, "--out", tmp_path, "--library", "porcine")
     assert code == 0, errors

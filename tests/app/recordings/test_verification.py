@@ -26,7 +26,7 @@ def kept(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = data / "recordings/a.mcap"
     content = recorded.read_bytes()
     path.write_bytes(content)
-    completed = CompletedFile(name=path.name, size_bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
+    completed = CompletedFile(name=path.name, sha256=hashlib.sha256(content).hexdigest())
     journal = Journal(data, lambda fault: None, lambda entry: None)
     journal.write(JournalKind.EVENT, "before")
     journal.write(JournalKind.EVENT, "complete", completed=completed)
@@ -34,13 +34,13 @@ def kept(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def wrong(findings: list[Finding]) -> list[str]:
-    return [each.subject for each in findings if each.outcome is Outcome.WRONG]
+    return [each.subject for each in findings if each.outcome is Outcome.FAILED]
 
 
 def test_a_recording_as_it_was_made_is_right_in_all_that_is_known(kept: Path) -> None:
     findings = verify_recording(kept, kept.parents[1])
     assert [(each.subject, each.outcome) for each in findings] == [
-        (subject, Outcome.RIGHT) for subject in ("file", "samples", "manifest", "journal", "journal")
+        (subject, Outcome.PASSED) for subject in ("file", "samples", "manifest", "journal", "journal")
     ]
     alone = verify_recording(kept, None)
     assert (wrong(alone), alone[-1].outcome) == ([], Outcome.NOT_CHECKED)
@@ -93,3 +93,10 @@ def test_a_changed_journal_is_told(kept: Path, tmp_path: Path) -> None:
     findings = verify_recording(kept, tmp_path)
     assert wrong(findings) == ["journal"]
     assert "not as it was written" in findings[-1].text
+
+
+def test_a_later_line_about_the_same_file_does_not_make_another_file_right(kept: Path, tmp_path: Path) -> None:
+    (tmp_path / "journal.jsonl").write_bytes((kept.parents[1] / "journal.jsonl").read_bytes())
+    forged = CompletedFile(name=kept.name, sha256="0" * 64)
+    Journal(tmp_path, lambda fault: None, lambda entry: None).write(JournalKind.EVENT, "complete", completed=forged)
+    assert wrong(verify_recording(kept, tmp_path)) == ["journal"]
