@@ -130,6 +130,8 @@ def _run_acquisition(
             if (why := server.check(time.monotonic())) and acquisition.running and setup.tool.has_motor:
                 acquisition.fail(why)
             source.set_block_samples(rest_samples if acquisition.at_rest else setup.tool.board.block_samples)
+        if acquisition.running:  # a server that ends in order has stopped the run before
+            acquisition.fail("the service was ended from outside during the run")
         acquisition.stop("the service was ended")
         _publish_events(acquisition, publisher)
 

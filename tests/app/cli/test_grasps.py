@@ -43,7 +43,7 @@ def test_a_label_is_in_the_table_and_a_correction_needs_a_reason(data: Path, tmp
     assert label("--held", "bladder", "--grasp", 2, "--why", "seen on the video")[0] == 0
     assert label("--remark", "slipped", "--grasp", 3)[0] == 0
     for words, code, told in (
-        ((), 2, "Say what was held with --held or --remark"),
+        ((), 2, "Say what was held with --held, --remark or --place"),
         (("--held", "liver", "--grasp", 4), 3, "first.mcap has no grasp 4: it has 3."),
         (("--held", "unknown"), 2, "is reserved"),
     ):
