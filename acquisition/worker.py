@@ -129,7 +129,9 @@ def _run_acquisition(
                 commands.send(bus.pack_reply(replace(answer, tick=acquisition.last_tick)))
             if (why := server.check(time.monotonic())) and acquisition.running and setup.tool.has_motor:
                 acquisition.fail(why)
-            source.set_block_samples(rest_samples if acquisition.at_rest else setup.tool.board.block_samples)
+            is_told = block.safety is acquisition.safety  # otherwise a short block tells the change soon
+            at_rest = acquisition.at_rest and is_told
+            source.set_block_samples(rest_samples if at_rest else setup.tool.board.block_samples)
         if acquisition.running:  # a server that ends in order has stopped the run before
             acquisition.fail("the service was ended from outside during the run")
         acquisition.stop("the service was ended")

@@ -80,6 +80,7 @@ RIGHTS: dict[tuple[str, str], Role | None] = {
     ("GET", "/api/audit"): Role.VIEWER,
     ("GET", "/api/grasps"): Role.VIEWER,
     ("GET", "/api/grasps.{suffix}"): Role.VIEWER,
+    ("GET", "/api/evaluation"): Role.VIEWER,
     ("GET", "/api/files"): Role.VIEWER,
     ("GET", "/api/tool"): Role.VIEWER,
     ("GET", "/api/protocols"): Role.VIEWER,

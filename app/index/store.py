@@ -2,13 +2,13 @@
 
 import contextlib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from sqlalchemy import URL, Select, func, select
+from sqlalchemy import URL, ColumnElement, Select, func, select, true
 from sqlalchemy.exc import DBAPIError, IntegrityError
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from app.index import queries
 from app.index.database import explain_database_errors, make_engine, make_writing_engine, migrate
@@ -26,6 +26,7 @@ from app.messages.recordings import FileRecord
 from app.messages.runs import Run, RunState
 from app.messages.stored import read_stored
 
+MAX_IDS_IN_QUERY = 500  # of more runs, all are read
 MAX_TRIES = 5  # while another writer is faster
 M = TypeVar("M")
 RowT = TypeVar("RowT", RunRow, FileRow, MarkRow, LabSessionRow)
@@ -148,11 +149,18 @@ class Store:
             rows = session.scalars(select(TruthRow).where(TruthRow.run_id == run_id).order_by(TruthRow.grasp))
             return [read_stored(GraspTruth, row.message) for row in rows]
 
-    def summarize_runs(self) -> dict[str, RunSummary]:
-        """Return what a list shows of each run: whose it is, what was answered, and what was held."""
-        grasps = select(GraspRow.run_id, GraspRow.label).order_by(GraspRow.run_id, GraspRow.index)
-        truths = select(TruthRow.run_id, TruthRow.held, TruthRow.remark).order_by(TruthRow.run_id, TruthRow.grasp)
+    def summarize_runs(self, run_ids: Collection[str]) -> dict[str, RunSummary]:
+        """Return what a list shows of these runs: whose they are, what was answered, and what was held."""
+
+        def is_listed(column: InstrumentedAttribute[str]) -> ColumnElement[bool]:
+            return column.in_(run_ids) if len(run_ids) <= MAX_IDS_IN_QUERY else true()
+
+        grasps = select(GraspRow.run_id, GraspRow.label).where(is_listed(GraspRow.run_id))
+        grasps = grasps.order_by(GraspRow.run_id, GraspRow.index)
+        truths = select(TruthRow.run_id, TruthRow.held, TruthRow.remark).where(is_listed(TruthRow.run_id))
+        truths = truths.order_by(TruthRow.run_id, TruthRow.grasp)
         subjects = select(RunRow.id, LabSessionRow.subject).join(LabSessionRow, LabSessionRow.id == RunRow.session)
+        subjects = subjects.where(is_listed(RunRow.id))
         found: defaultdict[str, RunSummary] = defaultdict(RunSummary)
         with explain_database_errors(self.url), self._engine.connect() as connection:
             for run_id, label in connection.execute(grasps):

@@ -187,6 +187,7 @@ class ReplayState(Message):
     duration_s: float | None = Field(description="Null until the recording has been read")
     speed: float
     grasps: list[float] = Field(description="Start times of the grasps, s")
+    start_s: float = Field(default=0.0, description="Time of position 0 by the clock of the run's marks, s")
 
 
 StreamEvent = EventMessage | Alarm | GraspEnded | GraspTruth | Mark | LabSession

@@ -1,7 +1,7 @@
 """Functions for the tidy table of grasps: one row a grasp, one value a cell, of recordings and of the index alike."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +33,16 @@ class GraspContext:
     specimen: str | None = None
     condition: str | None = None
     operator: str | None = None
+    protocol_number: str | None = None
+    session_notes: str | None = None
     recorded_at: str | None = None
     protocol: str | None = None
     tissue: str | None = None
     tool: str | None = None
     library: str | None = None
     force_scale: str | None = None
+    session_fields: dict[str, str] = field(default_factory=dict)
+    """The laboratory's own fields of the session; each has a column `field_<name>`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +132,7 @@ def _read_lab_session(container: McapFile) -> LabSession | None:
         raise RecordingError(f"{container.path}: its laboratory session cannot be read ({error}).") from None
 
 
-def session_columns(session: LabSession | None) -> dict[str, str | None]:
+def session_columns(session: LabSession | None) -> dict[str, Any]:
     """Return the columns of a laboratory session, named as in `GraspContext`."""
     if session is None:
         return {}
@@ -139,6 +143,9 @@ def session_columns(session: LabSession | None) -> dict[str, str | None]:
         "specimen": session.specimen,
         "condition": session.condition.value,
         "operator": session.operator,
+        "protocol_number": session.protocol_number,
+        "session_notes": session.notes,
+        "session_fields": session.fields,
     }
 
 
@@ -163,7 +170,8 @@ def build_grasp_rows(
     for grasp in grasps:
         truth = truths.get(grasp.index)
         spot = next((spot for spot in reversed(spots) if spot.began_s <= grasp.start_s), None)
-        row: Row = {name: getattr(context, name) for name in GraspContext.__slots__}
+        row: Row = {name: getattr(context, name) for name in GraspContext.__slots__ if name != "session_fields"}
+        row |= {f"field_{name}": value for name, value in context.session_fields.items()}
         row |= {
             "truth": truth.held if truth else None,
             "truth_remark": truth.remark.value if truth and truth.remark else None,

@@ -9,6 +9,8 @@ import pytest
 from mcap.reader import make_reader
 from service import PROGRAM, Listener, Service, until
 
+from acquisition.recordings.mcap_reader import McapFile
+
 
 @pytest.fixture(scope="module")
 def service() -> Iterator[Service]:
@@ -138,6 +140,13 @@ def test_a_mark_lies_at_the_sample_that_the_person_saw(service: Service) -> None
     at_s = first["start_time"]["sec"] + first["start_time"]["nsec"] / 1e9
     assert at_s == pytest.approx(mark["at_ms"] / 1e3, abs=1e-3)
     assert {"key": "text", "value": "smoke"} in first["metadata"]
+
+    path = service.recorded(run["id"])
+    with Listener(service, f"/api/recordings/{path.name}/replay") as replay:
+        replay.listen(lambda: any(each["prepared"] == 1.0 for each in replay.of("replay_state")), 60.0)
+        begins_s = replay.of("replay_state")[-1]["start_s"]
+    first_tick = int(McapFile(path).metadata["first_tick"])
+    assert begins_s == pytest.approx(first_tick / 1000.0, abs=0.005)  # so that the page can jump to the mark
 
 
 def test_statements_outlive_a_rebuild_of_the_index() -> None:

@@ -61,12 +61,12 @@ def test_runs_belong_to_the_session_under_way(service: Service) -> None:
 
 
 def test_the_table_of_all_grasps_has_what_was_said_since(service: Service) -> None:
-    session = service.http.post(PATH, json=PIG).json()
+    session = service.http.post(PATH, json={**PIG, "protocol_number": "2026-17", "fields": {"cage": "7"}}).json()
     run = service.finished(service.run(protocol="trapezoid_4hz", cycles=2)["id"])
     service.recorded(run["id"])
     until(lambda: len(service.http.get(f"/api/runs/{run['id']}/grasps").json()) == 2)
     service.http.put(f"/api/runs/{run['id']}/grasps/2/truth", json={"held": "liver", "version": 0, "by": "Ada"})
-    service.http.put(f"{PATH}/{session['id']}", json={**PIG, "subject": "P-21", "version": 1})
+    service.http.put(f"{PATH}/{session['id']}", json={**PIG, "subject": "P-21", "fields": {"cage": "8"}, "version": 1})
 
     async def fetch() -> list[dict[str, Any]]:
         async with Graspwatch(service.url) as tool:
@@ -74,6 +74,7 @@ def test_the_table_of_all_grasps_has_what_was_said_since(service: Service) -> No
 
     rows = [row for row in asyncio.run(fetch()) if row["run_id"] == run["id"]]
     assert [(row["index"], row["truth"], row["subject"]) for row in rows] == [(1, None, "P-21"), (2, "liver", "P-21")]
+    assert {(row["protocol_number"], row["field_cage"]) for row in rows} == {(None, "8")}  # as changed since
     assert 0.0 < rows[0]["start_s"] < rows[0]["end_s"] < rows[1]["start_s"] < 10.0  # from the run's start on
 
     def find(text: str) -> list[dict[str, Any]]:
@@ -83,6 +84,12 @@ def test_the_table_of_all_grasps_has_what_was_said_since(service: Service) -> No
     assert (listed["run_id"], listed["subject"], listed["held"]) == (run["id"], "P-21", ["liver"])
     assert len(listed["labels"]) == 2
     assert find("p-21 kidney") == []
+
+    page = service.http.get("/api/evaluation", params={"library": "porcine"}, timeout=60)
+    assert (page.status_code, "By truth: porcine" in page.text) == (200, True), page.text[:500]
+    assert "sandbox" in page.headers["Content-Security-Policy"]
+    for name in ("none", "/etc/passwd", "../graspwatch.toml"):
+        assert service.http.get("/api/evaluation", params={"library": name}).status_code == 422
 
     broken = service.data / "recordings/broken.mcap"
     broken.write_bytes(b"no recording")

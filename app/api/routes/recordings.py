@@ -49,7 +49,8 @@ async def list_recordings(
     listing = await catalog.list_recordings(read_new=request.method != "HEAD")
     summaries: dict[str, RunSummary] = {}
     with contextlib.suppress(ServiceError):  # without the index the files are still there
-        summaries = await tool_service.index_writer.query(tool_service.index_writer.store.summarize_runs)
+        run_ids = [each.run_id for each in listing.recordings if each.run_id]
+        summaries = await tool_service.index_writer.query(tool_service.index_writer.store.summarize_runs, run_ids)
     described = [_add_summary(each, summaries.get(each.run_id or "")) for each in listing.recordings]
     found = [recording for recording in described if _matches(recording, query)]
     limit = query.limit or max(len(found), 1)

@@ -57,7 +57,7 @@ def build_replay_cache(
     with (folder / COLUMNS_FILE).open("wb") as samples, (folder / MESSAGES_FILE).open("wb") as told:
         shape = recording.sample_count, columns
         np.lib.format.write_array_header_1_0(samples, {"descr": "<f4", "fortran_order": False, "shape": shape})
-        cache = _ReplayCacheWriter(samples, told, tool, library, settings.warnings)
+        cache = _ReplayCacheWriter(samples, told, tool, library, settings.warnings, recording.first_tick)
         session = TissueEstimator(tool, library, settings, recording.conditions)
         for whole in read_conditioned_blocks(recording, tool, settings.conditioning, report_steps):
             for block in _split_block(whole):
@@ -91,8 +91,16 @@ class _ReplayCacheWriter:
     """Writer of a replay cache, block by block; it keeps only the index in memory."""
 
     def __init__(
-        self, samples: BinaryIO, told: BinaryIO, tool: Tool, library: TissueLibrary, warnings: WarningSettings
+        self,
+        samples: BinaryIO,
+        told: BinaryIO,
+        tool: Tool,
+        library: TissueLibrary,
+        warnings: WarningSettings,
+        first_tick: int,
     ) -> None:
+        """`first_tick`: tick of the recording's first sample when it was made, which counts as 0 here."""
+        self._first_tick = first_tick
         self._sample_file, self._message_file = samples, told
         self._rate_hz, self._tissues = tool.board.sample_rate_hz, len(library.tissues)
         self._alarms = AlarmManager(self._publish)
@@ -156,6 +164,7 @@ class _ReplayCacheWriter:
         np.savez(
             path,
             rate_hz=self._rate_hz,
+            first_tick=self._first_tick,
             first_ticks=first_ticks,
             first_rows=first_rows,
             ticks=ticks,

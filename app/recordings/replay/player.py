@@ -38,6 +38,7 @@ class ReplayPlayer:
         self._unplayed_s = 0.0  # elapsed time that is not played yet
         self._position_due_s = self._state_due_s = 0.0
         self._sequence = 0
+        self._hello = build_hello(plan, cache.tool, recording=True)
 
     def step(self, now_s: float, elapsed_s: float, control: ReplayControl) -> None:
         """Apply the control and send the data due; `now_s` by `time.monotonic`, `elapsed_s` since the last call."""
@@ -63,8 +64,7 @@ class ReplayPlayer:
         """Send the messages and frames that a viewer needs at this position."""
         shown, cache = self._playhead.shown_tick, self._cache
         self._viewer.drop_frames()
-        greeting = build_hello(self._plan, self._cache.tool, recording=True)
-        self._send(greeting.model_copy(update={"server_time_ms": self._position_ms}))
+        self._send(self._hello.model_copy(update={"server_time_ms": self._position_ms}))
         self._send(self._build_state())
         for message in cache.initial_messages(shown):
             self._viewer.send(message)
@@ -99,6 +99,7 @@ class ReplayPlayer:
             duration_s=self._cache.duration_s,
             speed=self._playhead.speed,
             grasps=self._cache.grasp_starts_s,
+            start_s=self._cache.start_s,
         )
 
     def _build_state(self) -> State:

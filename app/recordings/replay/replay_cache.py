@@ -33,6 +33,7 @@ class ReplayCacheIndex:
     """Index arrays of shape (pieces,), (messages,) and (grasps,); a piece has no gap between its samples."""
 
     rate_hz: np.ndarray  # of shape ()
+    first_tick: np.ndarray  # of shape (); tick of the first sample when it was recorded
     first_ticks: np.ndarray
     first_rows: np.ndarray
     ticks: np.ndarray  # of the sample at which a message became known; never decreases
@@ -50,6 +51,8 @@ class ReplayCache:
         self._columns, self._messages, self._index, self.tool = columns, messages, index, tool
         self._message_starts = np.concatenate([[0], index.ends[:-1]])
         self.rate_hz = float(index.rate_hz)
+        self.start_s = int(index.first_tick) / self.rate_hz
+        """Time of the first sample by the clock of the service that recorded it, as in the times of marks, s."""
         self.grasp_starts_s: list[float] = index.grasp_starts_s.tolist()
         self.end_tick = int(index.first_ticks[-1] + len(columns) - index.first_rows[-1])
 

@@ -2,12 +2,12 @@ import { create, find, setAttribute, setData, setHidden, setText } from "../dom"
 import { fixed, wholePercent } from "../format";
 import type { Model } from "../live/model";
 import type { KeyAction } from "../shell/keys";
-import type { ReplayControl } from "../wire";
+import type { Mark, ReplayControl } from "../wire";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10];
 const JUMP_S = 2;
 const SEEK_EVERY_MS = 150;
-/** A jump to a grasp ends this long before it, s. */
+/** A jump to a grasp or mark ends this long before it, s. */
 const LEAD_S = 0.3;
 
 /** Controls a replay: play, pause, seek and speed. Also lists the alarms of the recording. */
@@ -18,6 +18,7 @@ export class ReplayBar {
   private notice = "";
   private dragging = false;
   private seeking = false;
+  private marksShown: readonly Mark[] | null = null;
 
   constructor(
     private readonly root: HTMLElement,
@@ -76,6 +77,23 @@ export class ReplayBar {
     if (!this.dragging) this.position.value = replay.position_s.toFixed(2);
     setText(find(this.root, "replay-time"), `${fixed(replay.position_s, 1, "s")} of ${fixed(length, 1, "s")}`);
     this.renderAlarms();
+    if (this.model.marks !== this.marksShown) this.listMarks(this.model.marks, replay.start_s);
+  }
+
+  /** Lists the marks of the recording, in the order of time; each one's button jumps to it. */
+  private listMarks(marks: readonly Mark[], startS: number): void {
+    this.marksShown = marks;
+    const rows = marks.toReversed().map((mark) => {
+      const position = Math.max(0, mark.at_s - startS);
+      const button = create("button", "", `${fixed(position, 1, "s")} ${mark.text}`);
+      button.type = "button";
+      button.ariaLabel = `Jump to the mark ${mark.text}`;
+      button.addEventListener("click", () => this.send({ position_s: Math.max(0, position - LEAD_S) }));
+      const row = create("li");
+      row.append(button);
+      return row;
+    });
+    find(this.root, "replay-marks").replaceChildren(...rows);
   }
 
   private noteText(connected: boolean, ready: boolean): string {
