@@ -240,7 +240,7 @@ class AcquisitionController:
 
     def _continue_self_test(self, sensor_fault: str | None) -> None:
         """Pass once a tare is taken while the sensors are sound and the tool is at rest; fail at the time limit."""
-        if why := self._self_test.find_fault() or sensor_fault:
+        if why := self._self_test.find_fault_at_rest() or sensor_fault:
             self._test_failure = why
             self._restart_tare()
         elif self._pipeline.tare.measured:

@@ -92,7 +92,7 @@ def _run_acquisition(
     safety = Safety.FAULTED if setup.previous_fault else Safety.DISARMED
     acquisition = AcquisitionController(source, setup.tool, setup.conditioning, limiter, safety, setup.previous_fault)
     server = ServerWatchdog(setup.max_server_silence_s)
-    if not await_start(setup.start_signal, stop):
+    if not wait_until_tool_may_open(setup.start_signal, stop):
         return
     with source:
         granted = apply_realtime(setup.realtime, REALTIME_PRIORITY, core_index=0)
@@ -144,7 +144,7 @@ def compute_rest_samples(tool: Tool) -> int:
     return board.block_samples * max(int(REST_BLOCK_S * board.sample_rate_hz / board.block_samples), 1)
 
 
-def await_start(start_signal: Connection, stop: ProcessEndFlag) -> bool:
+def wait_until_tool_may_open(start_signal: Connection, stop: ProcessEndFlag) -> bool:
     """Wait until the tool may be opened. Return False if the service ends before, or has died, which closes the pipe.
 
     The message stays in the pipe for the next worker.

@@ -992,7 +992,7 @@ class LibraryUnits(StrEnum):
     NEWTON_AND_METER = "newton and meter"
 
 
-class HeldAlpha(NamedTuple):
+class ApparentAlpha(NamedTuple):
     """Distribution of alpha in grasps of a tissue: its median, N, and the SD of its logarithm."""
 
     median_n: float
@@ -1113,11 +1113,11 @@ class TissueLibrary(ConfigModel):
     def spread_of(self, tissue: str) -> ParameterSpread:
         return self.tissues[tissue].spread or self.spread
 
-    def held_alpha(self, tissue: str) -> HeldAlpha:
+    def compute_apparent_alpha(self, tissue: str) -> ApparentAlpha:
         """Return the alpha that a grasp of the tissue shows: of a fold, alpha plus preload."""
         profile, spread = self.tissues[tissue], self.spread_of(tissue)
         if profile.preload_n is None:
-            return HeldAlpha(profile.alpha_n, spread.log_alpha)
+            return ApparentAlpha(profile.alpha_n, spread.log_alpha)
         at, weight = np.polynomial.legendre.leggauss(QUADRATURE_POINTS)
         preload_n = np.exp(np.interp(at, (-1.0, 1.0), np.log(profile.preload_n)))
         deviation, density = np.polynomial.hermite_e.hermegauss(QUADRATURE_POINTS)
@@ -1125,7 +1125,7 @@ class TissueLibrary(ConfigModel):
         held = np.log(alpha_n[:, None] + preload_n)
         share = np.outer(density, weight) / (density.sum() * weight.sum())
         mean = float(np.sum(share * held))
-        return HeldAlpha(math.exp(mean), math.sqrt(float(np.sum(share * (held - mean) ** 2))))
+        return ApparentAlpha(math.exp(mean), math.sqrt(float(np.sum(share * (held - mean) ** 2))))
 
     def threshold_n(self, tissue: str) -> float:
         """Return the force at which injury begins, N: threshold pressure times jaw area."""

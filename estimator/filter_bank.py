@@ -68,7 +68,7 @@ class TissuePriors:
 
     @classmethod
     def from_library(cls, library: TissueLibrary) -> "TissuePriors":
-        alpha = [library.held_alpha(name) for name in library.tissues]
+        alpha = [library.compute_apparent_alpha(name) for name in library.tissues]
         tissues = zip(alpha, library.tissues.values(), strict=True)
         mean = [(held.median_n, t.beta_per_m, t.damping_kg_per_s) for held, t in tissues]
         spreads = zip(alpha, map(library.spread_of, library.tissues), strict=True)

@@ -305,7 +305,7 @@ def check_encoder_direction(turned_deg: float, tool: Tool) -> CheckResult:
     return CheckResult(check, CheckOutcome.FAIL, text, figures)
 
 
-def check_encoder_scale(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> CheckResult:
+def check_cable_stretch(strain_v: np.ndarray, encoder_deg: np.ndarray, tool: Tool) -> CheckResult:
     """Check the cable's stretch, degrees per volt, Eq. (3); return the result.
 
     `strain_v` and `encoder_deg`, (n,) each, are means at several levels of force on shut jaws.

@@ -139,7 +139,7 @@ class HardwareCheck:
         direction = checks.check_encoder_direction(shut - float(begin.signals["encoder_deg"].mean()), tool)
         yield direction
         if direction.outcome is CheckOutcome.PASS:
-            yield checks.check_encoder_scale(strain_v[:-1], encoder_deg[:-1], tool)
+            yield checks.check_cable_stretch(strain_v[:-1], encoder_deg[:-1], tool)
         else:
             yield from _skip_checks(("encoder scale",), direction.check)
 

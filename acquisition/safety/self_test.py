@@ -45,7 +45,7 @@ class SelfTest:
         """Whether the time limit has passed."""
         return self._elapsed_samples > TIMEOUT_SAMPLES
 
-    def find_fault(self) -> str | None:
+    def find_fault_at_rest(self) -> str | None:
         """Return the first fault in the last samples with advice, or None if the tool may be armed."""
         samples = np.concatenate(self._recent_blocks, dtype=SAMPLE_DTYPE)
         if len(samples) < WINDOW_SAMPLES:

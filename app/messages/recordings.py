@@ -77,7 +77,7 @@ class RecordingInfo(Message):
 
 
 class Recordings(Message):
-    """The recordings folder."""
+    """The list of the recordings folder."""
 
     folder: str
     recordings: list[RecordingInfo]

@@ -90,7 +90,7 @@ class LabSessions:
             return self.current
         return await self._publisher.index_writer.query(self._store.get_lab_session, session_id)
 
-    def check_for_start(self, kind: ToolKind) -> None:
+    def require_session_under_way(self, kind: ToolKind) -> None:
         """Check that a session is under way where the settings ask for one.
 
         Raises:

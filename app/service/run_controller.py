@@ -72,7 +72,7 @@ class RunController:
         stops = self._stop_count
         await self._arming.wait_until_known()
         self._arming.check_no_fault()
-        self._lab_sessions.check_for_start(self._plan.tool.kind)
+        self._lab_sessions.require_session_under_way(self._plan.tool.kind)
         is_unarmed = self._plan.tool.has_motor and self._arming.safety is not Safety.ARMED
         if is_unarmed and self._plan.settings.safety.arm_with_start:
             await self._arming.arm(by, unmeasured_scale_reason)

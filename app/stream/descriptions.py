@@ -111,13 +111,15 @@ def build_library_info(library: TissueLibrary) -> LibraryInfo:
         TissueInfo(
             name=name,
             title=profile.title,
-            alpha_n=library.held_alpha(name).median_n,
+            alpha_n=library.compute_apparent_alpha(name).median_n,
             beta_per_m=profile.beta_per_m,
             damping_kg_per_s=profile.damping_kg_per_s,
             thickness_m=profile.thickness_m,
             threshold_n=library.threshold_n(name),
             threshold_pa=profile.threshold_pa,
-            spread=SpreadInfo(**library.spread_of(name).model_dump() | {"log_alpha": library.held_alpha(name).log_sd}),
+            spread=SpreadInfo(
+                **library.spread_of(name).model_dump() | {"log_alpha": library.compute_apparent_alpha(name).log_sd}
+            ),
         )
         for name, profile in library.tissues.items()
     ]

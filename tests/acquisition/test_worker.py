@@ -12,7 +12,7 @@ from acquisition.safety_state_machine import Safety
 from acquisition.simulation.board import SimulatedBoard, VirtualClock
 from acquisition.simulation.grasper import SimulatedGrasper
 from acquisition.simulation.service import create_in_process_options
-from acquisition.worker import StallDetector, await_start
+from acquisition.worker import StallDetector, wait_until_tool_may_open
 from acquisition.worker_process import ProcessEndFlag
 from config.errors import ToolError
 from config.load import load_grasp_protocol, load_library, load_settings, load_tool
@@ -62,16 +62,16 @@ def test_the_tool_is_opened_after_the_signal_and_not_after_the_death_of_the_serv
     stop.is_set = False
     reader, sender = multiprocessing.Pipe(duplex=False)
     sender.send(None)
-    assert [await_start(reader, stop) for _ in range(2)] == [True, True], "it stays for the next worker"
+    assert [wait_until_tool_may_open(reader, stop) for _ in range(2)] == [True, True], "it stays for the next worker"
     sender.close()
-    assert not await_start(reader, stop)
+    assert not wait_until_tool_may_open(reader, stop)
     reader, sender = multiprocessing.Pipe(duplex=False)
     sender.close()
-    assert not await_start(reader, stop)
+    assert not wait_until_tool_may_open(reader, stop)
     reader, sender = multiprocessing.Pipe(duplex=False)
     sender.send(None)
     stop.is_set = True
-    assert not await_start(reader, stop)
+    assert not wait_until_tool_may_open(reader, stop)
 
 
 @pytest.mark.parametrize("blocks_before_the_error", [0, 1, 3])

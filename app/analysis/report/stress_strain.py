@@ -58,7 +58,9 @@ def draw_library_curves(library: TissueLibrary, tissue_styles: dict[str, TissueS
     reach = 0.0
     for name, profile in library.tissues.items():
         force_n = np.linspace(0.0, THRESHOLD_MARGIN * library.threshold_n(name), CURVE_POINTS)
-        strain = np.log1p(force_n / library.held_alpha(name).median_n) / profile.beta_per_m / profile.thickness_m
+        strain = (
+            np.log1p(force_n / library.compute_apparent_alpha(name).median_n) / profile.beta_per_m / profile.thickness_m
+        )
         stress_kpa = force_n / library.jaw_area_m2 / 1e3
         factor = np.exp(_log_strain_sd(library, name, force_n))
         colour, reach = tissue_styles[name].color, max(reach, float(strain[-1]))
@@ -87,7 +89,7 @@ def draw_library_curves(library: TissueLibrary, tissue_styles: dict[str, TissueS
 
 def _log_strain_sd(library: TissueLibrary, name: str, force_n: np.ndarray) -> np.ndarray:
     """Return the SD of log strain at a force, to first order, from the SDs of log alpha, beta and thickness."""
-    spread, alpha = library.spread_of(name), library.held_alpha(name)
+    spread, alpha = library.spread_of(name), library.compute_apparent_alpha(name)
     ratio = np.maximum(force_n / alpha.median_n, 1e-9)
     by_alpha = ratio / (1 + ratio) / np.log1p(ratio)
     return np.sqrt((by_alpha * alpha.log_sd) ** 2 + spread.log_beta**2 + spread.log_thickness**2)

@@ -495,7 +495,7 @@ def test_specimens_scatter_about_the_profile_as_the_library_says(tissue: str) ->
             drive(held, np.zeros(150))  # the jaws open
             grasps.append(
                 [
-                    math.log(specimen.material.alpha_n / LIBRARY.held_alpha(tissue).median_n),
+                    math.log(specimen.material.alpha_n / LIBRARY.compute_apparent_alpha(tissue).median_n),
                     math.log(specimen.material.beta_per_m / profile.beta_per_m),
                     math.log(specimen.material.damping_kg_per_s / profile.damping_kg_per_s),
                     math.log(specimen.thickness_m / profile.thickness_m),
@@ -504,7 +504,7 @@ def test_specimens_scatter_about_the_profile_as_the_library_says(tissue: str) ->
         spots.append(grasps)
     # PHYSICS: SD of log alpha, log beta, log d; the library's of log thickness. A bladder is held as a fold, whose
     # preload takes the place of alpha.
-    sd = np.array([LIBRARY.held_alpha(tissue).log_sd, 0.10, 0.30, 0.20])
+    sd = np.array([LIBRARY.compute_apparent_alpha(tissue).log_sd, 0.10, 0.30, 0.20])
     n = len(spots)
     low, high = np.sqrt(chi2.ppf([0.5e-6, 1 - 0.5e-6], n - 1) / (n - 1))
     for logs in np.swapaxes(spots, 0, 1):  # the first grasps, and the second ones

@@ -162,7 +162,7 @@ def test_estimates_of_the_parameters_lie_where_specimens_of_the_tissue_lie(
     runs: dict[str, Answer], tissue: str
 ) -> None:
     library = load_library("porcine")
-    held, beta_per_m = library.held_alpha(tissue), library.tissues[tissue].beta_per_m
+    held, beta_per_m = library.compute_apparent_alpha(tissue), library.tissues[tissue].beta_per_m
     named = [grasp for grasp in runs[tissue].document["grasps"] if grasp["label"] == tissue]
     for key, usual, sd in (
         ("alpha_n", held.median_n, held.log_sd),

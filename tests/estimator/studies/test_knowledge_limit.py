@@ -20,7 +20,7 @@ def test_densities_are_those_of_the_librarys_spreads():
     seen, thickness_m = np.log([0.04, 2000.0, 3.0]), 0.0065
     found = compute_log_densities(LIBRARY, seen[None], EXACT, thickness_m)[0]
     for value, (name, profile) in zip(found, LIBRARY.tissues.items(), strict=True):
-        alpha = LIBRARY.held_alpha(name)
+        alpha = LIBRARY.compute_apparent_alpha(name)
         by_hand = sum(
             norm.logpdf(x, math.log(centre), sd)
             for x, centre, sd in zip(
@@ -37,7 +37,7 @@ def test_densities_are_those_of_the_librarys_spreads():
 def test_a_folds_alpha_is_that_of_the_simulated_folds(tissue: str):
     draws = np.random.default_rng(1).standard_normal((20_000, 5)).tolist()
     alpha = np.log([Specimen.draw(LIBRARY, tissue, draw, NO_DEVIATION).material.alpha_n for draw in draws])
-    held = LIBRARY.held_alpha(tissue)
+    held = LIBRARY.compute_apparent_alpha(tissue)
     error = held.log_sd / math.sqrt(len(alpha))
     assert alpha.mean() == pytest.approx(math.log(held.median_n), abs=4 * error)
     assert alpha.std() == pytest.approx(held.log_sd, abs=4 * error)
