@@ -47,7 +47,7 @@ def _serve(tissue: str, seed: int, line: Connection) -> None:
         "break": sensors.inject_fault,
         "mend": sensors.clear_fault,
         "be_mute": board.disconnect,
-        "hold_samples": board.delay_samples,
+        "hold_samples": board.withhold_samples,
         "cut_sample_clock": board.stop_sample_clock,
         "fail_next_read": board.fail_next_read,
     }

@@ -273,7 +273,7 @@ class SimulatedBoard:
             self._simulate_until_now()
             self._disconnected_until_ns = self.clock.now_ns() + duration_s * 1e9
 
-    def delay_samples(self, duration_s: float) -> None:
+    def withhold_samples(self, duration_s: float) -> None:
         """Simulate a fault: for a while, s, the board takes samples but delivers none."""
         with self._lock:
             self._delayed_until_ns = self.clock.now_ns() + duration_s * 1e9

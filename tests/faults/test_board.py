@@ -57,7 +57,7 @@ def test_a_board_that_is_gone_is_told_with_what_to_do_by_hand(lost_s):
 def test_samples_that_come_late_are_none_that_the_motor_moves_on(reactions):
     """The board delivers nothing for 50 ms, and takes commands all the while."""
     bench = Bench().play(until=AT[Moment.HOLD])
-    bench.board.delay_samples(0.05)
+    bench.board.withhold_samples(0.05)
     late_ns = bench.board.clock.now_ns()
     bench.play()
     assert bench.board.output_v == 0.0
