@@ -25,6 +25,7 @@ from app.api.openapi import TAGS, describe_api, make_operation_id
 from app.api.recording_bin import RecordingBin
 from app.api.routes import (
     alarms,
+    all_recordings,
     annotations,
     audit,
     bin,
@@ -100,6 +101,7 @@ ROUTE_MODULES = (
     calibration,
     session,
     history,
+    all_recordings,
     audit,
     alarms,
     tool,
