@@ -129,7 +129,7 @@ def _run_acquisition(
                 commands.send(bus.pack_reply(replace(answer, tick=acquisition.last_tick)))
             if (why := server.check(time.monotonic())) and acquisition.running and setup.tool.has_motor:
                 acquisition.fail(why)
-            is_told = block.safety is acquisition.safety  # otherwise a short block tells the change soon
+            is_told = block.safety is acquisition.safety  # a new state is published in a short block, so without delay
             at_rest = acquisition.at_rest and is_told
             source.set_block_samples(rest_samples if at_rest else setup.tool.board.block_samples)
         if acquisition.running:  # a server that ends in order has stopped the run before

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from app.analysis.evaluation import evaluate_answers
-from app.analysis.grasp_collection import CollectionJob, Corrections, EstimationContext, collect_grasps
+from app.analysis.grasp_collection import Corrections, EstimationContext, collect_readable_grasps
 from app.host.background_process import SendMessage
 
 
 def send_evaluation_page(
-    send: SendMessage, paths: list[Path], corrections: Corrections, contexts: Mapping[str, EstimationContext | None]
+    send: SendMessage, paths: list[Path], corrections: Corrections, contexts: Mapping[str, EstimationContext]
 ) -> None:
-    """Send one page that compares the answers of each context with what was held; None: as recorded.
+    """Send one page that compares the answers of each context with what was held.
 
     Recordings that cannot be read are left out.
 
@@ -20,8 +20,6 @@ def send_evaluation_page(
     """
     groups, left_out = {}, 0
     for name, context in contexts.items():
-        found = [collect_grasps(CollectionJob(path, context, corrections, may_be_left_out=True)) for path in paths]
-        groups[name] = [row for each in found for row in each.rows]
-        left_out = sum(each.problem is not None for each in found)
+        groups[name], left_out = collect_readable_grasps(paths, context, corrections)
     about = {"recordings": len(paths) - left_out, "left out": left_out, "libraries": ", ".join(groups)}
     send(evaluate_answers(groups, about).render_page())

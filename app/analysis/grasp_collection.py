@@ -66,13 +66,13 @@ NO_CORRECTIONS = Corrections({}, {})
 
 @dataclass(frozen=True, slots=True)
 class CollectionJob:
-    """One recording to collect grasps from. `how` None: as recorded. `label`: truth from the command line.
+    """One recording to collect grasps from. `label`: truth from the command line.
 
     With `may_be_left_out`, an unreadable recording gives a problem instead of an error.
     """
 
     path: Path
-    how: EstimationContext | None
+    how: EstimationContext
     corrections: Corrections
     label: str | None = None
     may_be_left_out: bool = False
@@ -107,11 +107,10 @@ def collect_grasps(job: CollectionJob) -> CollectedGrasps:
 def _collect_rows(job: CollectionJob) -> list[Row]:
     path, how = job.path, job.how
     recorded = _read_corrected(path, job.corrections) if is_mcap(path) else None
-    if recorded and (how is None or how.library is None):
+    if recorded and how.library is None:
         return build_grasp_rows(
             recorded.context, recorded.grasps, recorded.spots, recorded.truths, recorded.run_start_s
         )
-    assert how is not None  # only recordings of this program can be read as recorded
     recording = RecordingSource(path, how.tool)
     library = how.library or how.default_library
     library.check_tool(recording.tool)
@@ -151,10 +150,23 @@ def write_table(table: pa.Table, suffix: str, out: Path | pa.NativeFile) -> None
     (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(table, out)
 
 
-def send_grasp_table(send: SendMessage, paths: list[Path], corrections: Corrections, suffix: str) -> None:
-    """Send the table of the grasps of recordings, as recorded; those that cannot be read are left out."""
-    found = [collect_grasps(CollectionJob(path, None, corrections, may_be_left_out=True)) for path in paths]
-    rows = [row for each in found for row in each.rows]
+def collect_readable_grasps(
+    paths: Sequence[Path], how: EstimationContext, corrections: Corrections
+) -> tuple[list[Row], int]:
+    """Return the rows of all recordings that can be read, and how many are left out.
+
+    Raises:
+        ConfigurationError: the library was learned with another tool.
+    """
+    found = [collect_grasps(CollectionJob(path, how, corrections, may_be_left_out=True)) for path in paths]
+    return [row for each in found for row in each.rows], sum(each.problem is not None for each in found)
+
+
+def send_grasp_table(
+    send: SendMessage, paths: list[Path], corrections: Corrections, how: EstimationContext, suffix: str
+) -> None:
+    """Send the table of the grasps of all recordings that can be read, and how many are left out."""
+    rows, left_out = collect_readable_grasps(paths, how, corrections)
     out = pa.BufferOutputStream()
     write_table(build_table(rows), suffix, out)
-    send((out.getvalue().to_pybytes(), sum(each.problem is not None for each in found)))
+    send((out.getvalue().to_pybytes(), left_out))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from app.audit.hash_chain import NEW_LINE, ChainLink, parse_link, sha256_hex
 from app.audit.journal_file import find_journals, read_journal_lines
-from app.messages.journal import JournalCheck
+from app.messages.journal import JournalCheck, JournalEntry
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +24,13 @@ class ChainCheckpoint:
     number: int
     hash: str
     text: str
+
+    @classmethod
+    def from_entry(cls, source: str, entry: JournalEntry) -> "ChainCheckpoint | None":
+        """Return the checkpoint of a line that `source` stored; None if the line had no place in a chain."""
+        if not (entry.chain and entry.number and entry.hash):
+            return None
+        return cls(source, entry.chain, entry.number, entry.hash, entry.text)
 
 
 class _ChainBrokenError(Exception):

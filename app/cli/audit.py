@@ -76,19 +76,18 @@ def _read_recording_checkpoints(folder: Path, notes: list[str]) -> list[ChainChe
     from app.index.rebuild import find_recordings
     from app.recordings.index_reader import RECORDING_READERS
 
-    known = []
+    known: list[ChainCheckpoint | None] = []
     recordings = find_recordings(folder, RECORDING_READERS)
     with ProgressBar("Asking the recordings", max(len(recordings), 1)) as progress:
         for done, (path, reader) in enumerate(recordings.items()):
             progress(done)
             try:
                 for _, message in reader.read_messages(path):
-                    if isinstance(message, JournalEntry) and message.chain and message.number and message.hash:
-                        place = message.chain, message.number, message.hash, message.text
-                        known.append(ChainCheckpoint(f"the recording {path.name}", *place))
+                    if isinstance(message, JournalEntry):
+                        known.append(ChainCheckpoint.from_entry(f"the recording {path.name}", message))
             except GraspwatchError as error:
                 notes.append(f"a recording was not asked to its end: {str(error).rstrip('.')}")
-    return known
+    return [each for each in known if each]
 
 
 @app.command()

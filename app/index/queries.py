@@ -42,7 +42,7 @@ class PageQuery(TimeRangeQuery):
 
 
 class RecordingQuery(TimeRangeQuery):
-    """Query of the recordings folder; times are those of the recordings."""
+    """Query of the recordings folder; `since` and `until` refer to when a recording was made."""
 
     limit: Annotated[int | None, Field(ge=1, le=500, description="Maximum number of results; null: all")] = None
     q: Annotated[

@@ -150,7 +150,7 @@ class Store:
             return [read_stored(GraspTruth, row.message) for row in rows]
 
     def summarize_runs(self, run_ids: Collection[str]) -> dict[str, RunSummary]:
-        """Return what a list shows of these runs: whose they are, what was answered, and what was held."""
+        """Return subject, answers and stated tissues by run, at least of these runs."""
 
         def is_listed(column: InstrumentedAttribute[str]) -> ColumnElement[bool]:
             return column.in_(run_ids) if len(run_ids) <= MAX_IDS_IN_QUERY else true()

@@ -94,7 +94,7 @@ class JournalEntry(Record):
 
 
 RECORD_FIELDS = ("run", "alarm", "file", "truth", "mark", "lab_session")
-"""Fields of an entry that hold the record that it is about."""
+"""Fields of an entry that hold the record that it is about, which the index keeps, too."""
 CHAIN_FIELDS = ("chain", "number", "after", "begins", "torn", "hash")
 
 

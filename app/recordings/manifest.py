@@ -18,6 +18,7 @@ SOURCE_FOLDER = Path(__file__).parents[2]
 GIT_TIMEOUT_S = 5.0
 
 
+@functools.cache  # asked for twice at the start of each run
 def collect_versions() -> dict[str, str]:
     """Return the versions of Graspwatch, Python and the computing packages."""
     return {"graspwatch": __version__, "python": platform.python_version(), "machine": platform.machine()} | {

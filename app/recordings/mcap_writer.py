@@ -116,7 +116,7 @@ class McapRunWriter:
         """
         self.path = path
         self.samples = self.lost_samples = 0
-        self._absent_samples, self._next_tick = 0, -1  # between the blocks, whoever lost them
+        self._absent_samples, self._next_tick = 0, -1  # missing between the blocks, whatever the reason
         self._wall_offset_ns = wall_offset_ns  # constant, because the computer's clock may be set meanwhile
         self._tissues = list(recording_context.library.tissues)
         self._sample_period_ns = 1e9 / recording_context.tool.board.sample_rate_hz

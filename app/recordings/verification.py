@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.recordings.mcap_layout import CONDITIONED_TOPIC, MANIFEST_ATTACHMENT, RAW_TOPIC
-from acquisition.recordings.mcap_reader import JsonMessage, McapFile, RowBlock
+from acquisition.recordings.mcap_reader import McapFile, RowBlock
 from app.audit.chain_check import ChainCheckpoint, check_journal
 from app.audit.hash_chain import parse_link, sha256_hex
 from app.audit.journal_file import find_journals, read_journal_lines
 from app.messages.journal import JournalEntry
 from app.messages.recordings import CompletedFile, RunManifest
 from app.messages.stored import read_stored
+from app.recordings.index_reader import read_recorded_messages
 from app.recordings.manifest import digest_file
-from app.recordings.topics import JOURNAL_TOPIC, decode_message
 from config.errors import JournalError, RecordingError
 
 
@@ -63,8 +63,7 @@ def _check_samples(container: McapFile) -> Iterator[Finding]:
         yield Finding("file", Outcome.PASSED, "it had been cut off, and was made whole: its last samples are missing")
     else:
         yield Finding("file", Outcome.PASSED, "every chunk matches its checksum")
-    ticks = np.concatenate([np.zeros(0, np.int64), *(each.columns["tick"] for each in rows if each.topic == RAW_TOPIC)])
-    other = np.concatenate([np.zeros(0, np.int64), *(each.columns["tick"] for each in rows if each.topic != RAW_TOPIC)])
+    ticks, other = _join_ticks(rows, RAW_TOPIC), _join_ticks(rows, CONDITIONED_TOPIC)
     steps = np.diff(ticks)
     absent = int((steps - 1).sum())
     lost = sum(int(each.columns["lost_samples"].sum()) for each in rows if each.topic == RAW_TOPIC)
@@ -82,6 +81,10 @@ def _check_samples(container: McapFile) -> Iterator[Finding]:
     else:
         unrecorded = f", {absent - lost} more absent" if absent > lost else ""
         yield Finding("samples", Outcome.PASSED, f"{len(ticks)}, {lost} lost{unrecorded}")
+
+
+def _join_ticks(rows: list[RowBlock], topic: str) -> np.ndarray:
+    return np.concatenate([np.zeros(0, np.int64), *(each.columns["tick"] for each in rows if each.topic == topic)])
 
 
 def _check_manifest(container: McapFile) -> Finding:
@@ -128,7 +131,7 @@ def _check_digest(container: McapFile, data: Path) -> Finding:
 
 
 def _check_chain(container: McapFile, data: Path) -> Finding:
-    lines = _read_checkpoints(container)
+    lines = _read_checkpoints(container.path)
     found = check_journal(data, (), lines)
     if found.problem:
         return Finding("journal", Outcome.FAILED, f"it is not as it was written: {found.problem}")
@@ -161,21 +164,19 @@ def _read_completed(data: Path) -> Iterator[CompletedFile]:
         for line in read_journal_lines(path):
             if b'"completed"' not in line:
                 continue
-            with contextlib.suppress(ValueError):  # the check of the chain tells of it
+            with contextlib.suppress(ValueError):  # the check of the chain reports such a line
                 entry = read_stored(JournalEntry, line)
                 if entry.completed:
                     yield entry.completed
 
 
-def _read_checkpoints(container: McapFile) -> list[ChainCheckpoint]:
-    known = []
-    for message in container.iter_content(JOURNAL_TOPIC):
-        assert isinstance(message, JsonMessage)
-        try:
-            entry = decode_message(message.topic, message.content)
-        except ValueError as error:
-            raise RecordingError(f"{container.path}: holds a message that cannot be read ({error}).") from None
-        if isinstance(entry, JournalEntry) and entry.chain and entry.number and entry.hash:
-            place = entry.chain, entry.number, entry.hash, entry.text
-            known.append(ChainCheckpoint(f"the recording {container.path.name}", *place))
-    return known
+def _read_checkpoints(path: Path) -> list[ChainCheckpoint]:
+    """Return the journal lines that a recording holds.
+
+    Raises:
+        RecordingError: the file is damaged.
+    """
+    messages = (message for _, message in read_recorded_messages(path))
+    source = f"the recording {path.name}"
+    found = (ChainCheckpoint.from_entry(source, each) for each in messages if isinstance(each, JournalEntry))
+    return [each for each in found if each]

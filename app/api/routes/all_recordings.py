@@ -52,7 +52,9 @@ async def download_grasp_table(
     headers = {"Content-Disposition": f'attachment; filename="grasps.{suffix}"'}
     if request.method == "HEAD":  # builds nothing
         return Response(media_type=TABLE_TYPES[suffix], headers=headers)
-    content, left_out = await _build_from_recordings(tool_service, send_grasp_table, f".{suffix}")
+    content, left_out = await _build_from_recordings(
+        tool_service, send_grasp_table, _as_recorded(tool_service), f".{suffix}"
+    )
     return Response(content, media_type=TABLE_TYPES[suffix], headers=headers | {"X-Left-Out": str(left_out)})
 
 
@@ -85,11 +87,18 @@ async def evaluate_answers(
     except ConfigurationError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, str(error), "library") from None
     contexts = {each.name: EstimationContext(plan.recording_tool, plan.settings, each, each) for each in libraries}
-    page = await _build_from_recordings(tool_service, send_evaluation_page, contexts or {"as recorded": None})
+    page = await _build_from_recordings(
+        tool_service, send_evaluation_page, contexts or {"as recorded": _as_recorded(tool_service)}
+    )
     return HTMLResponse(page, headers={"Content-Security-Policy": REPORT_POLICY})
 
 
-async def _build_from_recordings(tool_service: ToolService, build: Callable[..., None], wanted: Any) -> Any:
+def _as_recorded(tool_service: ToolService) -> EstimationContext:
+    plan = tool_service.plan
+    return EstimationContext(plan.recording_tool, plan.settings, None, plan.library)
+
+
+async def _build_from_recordings(tool_service: ToolService, build: Callable[..., None], *wanted: Any) -> Any:
     """Return what `build` sends of all recordings; one at a time, because each process takes time from a live tool.
 
     Raises:
@@ -105,7 +114,7 @@ async def _build_from_recordings(tool_service: ToolService, build: Callable[...,
         found: list[Any] = []
         try:
             await run_in_background_process(
-                "table", build, paths, corrections, wanted, on_message=found.append, advice=advice
+                "table", build, paths, corrections, *wanted, on_message=found.append, advice=advice
             )
         except ConfigurationError as error:
             raise ProblemError(HTTPStatus.CONFLICT, str(error)) from None

@@ -77,7 +77,10 @@ export class RecordingsPage implements Page {
 
   private show(): void {
     const words = this.filter.value.toLowerCase().replaceAll("_", " ").split(/\s+/);
-    const found = this.recordings.filter((recording) => words.every((word) => searchText(recording).includes(word)));
+    const found = this.recordings.filter((recording) => {
+      const text = searchText(recording);
+      return words.every((word) => text.includes(word));
+    });
     this.rows.show(found.toSorted((a, b) => compare(a, b, this.column, this.descending)));
     const [none, all] = [this.recordings.length === 0, this.recordings.length];
     setText(find(this.root, "recordings-count"), found.length === all ? `${all} of ${all}` : `${found.length} of ${all}`);
