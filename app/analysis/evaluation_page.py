@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from app.analysis.evaluation import evaluate_answers
 from app.analysis.grasp_collection import Corrections, EstimationContext, collect_readable_grasps
 from app.host.background_process import SendMessage
 
@@ -18,6 +17,8 @@ def send_evaluation_page(
     Raises:
         ConfigurationError: no grasp can be judged.
     """
+    from app.analysis.evaluation import evaluate_answers  # its charts are not needed by the server that starts this
+
     groups, left_out = {}, 0
     for name, context in contexts.items():
         groups[name], left_out = collect_readable_grasps(paths, context, corrections)

@@ -3,13 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
+from typing import TYPE_CHECKING
 
 from acquisition.recordings.recording import RecordingSource, is_mcap
-from app.analysis.headless import replay_recording
 from app.host.background_process import SendMessage
 from app.index.store import Store
 from app.messages.annotations import GraspTruth
@@ -26,6 +22,11 @@ from app.recordings.grasp_rows import (
 from app.recordings.mcap_writer import RecordingContext
 from config.errors import RecordingError
 from config.schema import Settings, TissueLibrary, Tool
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+# The filters and pyarrow are imported where they are used: the server starts this work in another process.
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +112,8 @@ def _collect_rows(job: CollectionJob) -> list[Row]:
         return build_grasp_rows(
             recorded.context, recorded.grasps, recorded.spots, recorded.truths, recorded.run_start_s
         )
+    from app.analysis.headless import replay_recording
+
     recording = RecordingSource(path, how.tool)
     library = how.library or how.default_library
     library.check_tool(recording.tool)
@@ -135,18 +138,23 @@ def _read_corrected(path: Path, corrections: Corrections) -> RecordedGrasps:
     return replace(recorded, truths=truths, context=context)
 
 
-def build_table(rows: Sequence[Row]) -> pa.Table:
+def build_table(rows: Sequence[Row]) -> "pa.Table":
     """Return the rows as a table; a column that a row lacks is empty there."""
+    import pyarrow as pa
+
     names = dict.fromkeys(name for row in rows for name in row)
     return pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows])
 
 
-def write_table(table: pa.Table, suffix: str, out: Path | pa.NativeFile) -> None:
+def write_table(table: "pa.Table", suffix: str, out: "Path | pa.NativeFile") -> None:
     """Write a table to a file as `.csv` or `.parquet`.
 
     Raises:
         OSError: it cannot be written.
     """
+    import pyarrow.csv
+    import pyarrow.parquet
+
     (pyarrow.csv.write_csv if suffix == ".csv" else pyarrow.parquet.write_table)(table, out)
 
 
@@ -166,6 +174,8 @@ def send_grasp_table(
     send: SendMessage, paths: list[Path], corrections: Corrections, how: EstimationContext, suffix: str
 ) -> None:
     """Send the table of the grasps of all recordings that can be read, and how many are left out."""
+    import pyarrow as pa
+
     rows, left_out = collect_readable_grasps(paths, how, corrections)
     out = pa.BufferOutputStream()
     write_table(build_table(rows), suffix, out)
