@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import zmq
 
 from acquisition import bus
-from acquisition.worker_process import ProcessEndFlag, initialize_worker
+from acquisition.worker_process import START_HEADROOM_BYTES, ProcessEndFlag, initialize_worker, limit_memory
 
 CLOSE_TIMEOUT_MS = 200  # for the last messages
 
@@ -25,6 +25,7 @@ class WorkerLife:
 def begin_worker(name: str, parent_pid: int, address: str) -> Iterator[WorkerLife]:
     """Begin a worker that publishes at `address`; send the last messages and close its sockets at the end."""
     stop = initialize_worker(name, parent_pid)
+    limit_memory(START_HEADROOM_BYTES)
     context = zmq.Context()
     try:
         yield WorkerLife(stop, context, bus.open_publisher(context, address))

@@ -25,6 +25,8 @@ PR_SET_NAME = 15
 MCL_CURRENT, MCL_FUTURE = 1, 2
 MEMORY_HEADROOM_BYTES = 512 << 20
 """Memory that a worker may add after its start; beyond it the worker fails instead of exhausting the machine."""
+START_HEADROOM_BYTES = 2 * MEMORY_HEADROOM_BYTES
+"""The same for its start; compiling the filters takes 300 MB."""
 WORKER_CPU_BURST_US = 300_000
 """Longest computation at real-time priority without a pause; the blocks of one second take 80,000 us."""
 SERVER_PRIORITY = 10
@@ -64,11 +66,11 @@ def initialize_worker(name: str, parent_pid: int) -> ProcessEndFlag:
     return flag
 
 
-def limit_memory() -> None:
-    """Limit the memory of this process to its present size and MEMORY_HEADROOM_BYTES."""
+def limit_memory(headroom_bytes: int = MEMORY_HEADROOM_BYTES) -> None:
+    """Limit the memory of this process to its present size and `headroom_bytes`."""
     status = Path("/proc/self/status").read_text()
     now_kb = next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmData:"))
-    bound = now_kb * 1024 + MEMORY_HEADROOM_BYTES
+    bound = now_kb * 1024 + headroom_bytes
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (bound if most == resource.RLIM_INFINITY else min(bound, most), most))
 

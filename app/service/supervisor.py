@@ -33,6 +33,8 @@ MAX_SOCKET_FOLDER_BYTES = 60
 """The path of a socket has at most 107 bytes (unix(7)); the names in the folder need 46."""
 TOOL_WORKERS = ("recorder", "estimator", "acquisition")
 """The workers that compute with the tool's calibration, in the order of their replacement."""
+MAX_IDLE_TICKS = 1
+"""Clock ticks (10 ms) between two checks, 33 ms apart, that an idle process may take: its sockets have a thread."""
 ZERO_WAIT_S = 0.1
 """Time to wait for a reset of the board before the worker's death is reported; a reset usually takes 10 ms."""
 
@@ -205,6 +207,18 @@ class Supervisor:
             return False
         before, worker.activity = worker.activity, read_process_snapshot(worker.process.pid)
         return worker.activity.is_suspended or (worker.activity.is_runnable and worker.activity == before)
+
+    def is_idle_start(self, name: str) -> bool:
+        """Return whether a worker that is starting has slept since the last call; its sockets may have had a turn."""
+        worker = self.workers[name]
+        if worker.condition is not WorkerCondition.STARTING or self.is_being_replaced(name):
+            return False
+        if not worker.process or worker.process.pid is None:
+            return False
+        before, worker.activity = worker.activity, read_process_snapshot(worker.process.pid)
+        if before is None or worker.activity.state != "S":
+            return False
+        return worker.activity.cpu_ticks - before.cpu_ticks <= MAX_IDLE_TICKS
 
     def kill(self, name: str) -> None:
         """Kill a worker that does not answer; its death is then handled like any other."""

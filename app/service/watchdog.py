@@ -12,6 +12,8 @@ SILENCE_ALARM_S = 0.35  # the alarm is promised within 0.5 s
 HUNG_TIMEOUT_S = 2.0  # a worker silent for longer is killed and replaced
 RECORDER_HUNG_TIMEOUT_S = 10.0  # longer, because a disk may be slow
 SAFETY_MONITOR_HUNG_TIMEOUT_S = 2.0
+HUNG_START_TIMEOUT_S = 20.0
+"""Time that a starting worker may sleep. Compiling keeps it busy; only the acquisition waits, for the filters."""
 MAX_KEPT_FROM_RUNNING_S = 60.0
 """Time that a worker may be stopped or swapped out before it is killed: the bus keeps a minute of blocks for it."""
 
@@ -31,6 +33,7 @@ class Watchdog:
         self._own_delay_s = 0.0  # total time in which this process could not listen
         self._last_check_s = time.monotonic()
         self._kept_from_running_s: dict[str, float] = {}  # by worker: part of its silence
+        self._idle_start_s = dict.fromkeys(("estimator", "recorder", "guard"), 0.0)
         self._sampling_since_s = self._estimating_since_s = 0.0
         self._waiting_heard_s, self._waiting_why = 0.0, ""  # of an acquisition that waits for its device
         self.is_sampling = False
@@ -97,10 +100,21 @@ class Watchdog:
         self._check_heartbeat(
             "guard", now, SAFETY_MONITOR_HUNG_TIMEOUT_S, since_last_s, "a hung acquisition would be noticed late"
         )
+        self._check_starts(since_last_s)
         for name, since_s in silent_s.items():
             expected = name == "acquisition" or self.is_sampling
             if alive[name] and expected and since_s >= SILENCE_ALARM_S:
                 self._kill_if_hung(name, since_s, HUNG_TIMEOUT_S, since_last_s)
+
+    def _check_starts(self, since_last_s: float) -> None:
+        """Kill a worker that hangs before its first message."""
+        for name in self._idle_start_s.keys() & self._supervisor.workers.keys():
+            idle_s = self._idle_start_s[name] + since_last_s if self._supervisor.is_idle_start(name) else 0.0
+            self._idle_start_s[name] = idle_s
+            if idle_s > HUNG_START_TIMEOUT_S:
+                self._idle_start_s[name] = 0.0
+                self._publish_event(f"The {display_worker_name(name)} worker does not start: it is ended and replaced")
+                self._supervisor.kill(name)
 
     def _check_heartbeat(self, name: str, now: float, hung_s: float, since_last_s: float, consequence: str) -> None:
         """Check a worker that sends signs of life even when it is idle."""

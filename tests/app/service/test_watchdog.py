@@ -26,12 +26,16 @@ class Workers:
     killed: list[str] = field(default_factory=list)
     held_up: set[str] = field(default_factory=set)
     replaced: set[str] = field(default_factory=set)
+    idle_starts: set[str] = field(default_factory=set)
 
     def is_being_replaced(self, name: str) -> bool:
         return name in self.replaced
 
     def is_kept_from_running(self, name: str) -> bool:
         return name in self.held_up
+
+    def is_idle_start(self, name: str) -> bool:
+        return name in self.idle_starts
 
     def kill(self, name: str) -> None:
         self.killed.append(name)
@@ -143,3 +147,17 @@ def test_a_worker_that_is_replaced_may_speak_until_it_ends_and_owes_nothing(work
     watch_for(dog, 0.1, "acquisition", "estimator")
     watch_for(dog, 0.6)
     assert "No samples arrive from the tool" in [alarm.text for alarm in alarms.current_alarms()]
+
+
+def test_a_worker_that_hangs_while_it_starts_is_ended_and_one_that_computes_is_not(
+    workers: Workers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watchdog, "HUNG_START_TIMEOUT_S", 0.5)
+    dog = Watchdog(workers, AlarmManager(lambda message: None), lambda text: None)
+    for name in ("estimator", "recorder"):
+        workers.workers[name].condition = WorkerCondition.STARTING
+    workers.idle_starts.add("recorder")
+    watch_for(dog, 0.4, "acquisition")
+    assert workers.killed == []
+    watch_for(dog, 0.4, "acquisition")
+    assert workers.killed == ["recorder"]

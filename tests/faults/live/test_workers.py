@@ -1,6 +1,7 @@
 """Workers that die, hang, fail or take all memory, in the midst of a grasp on a board that outlives them."""
 
 import os
+import signal
 import time
 
 import numpy as np
@@ -106,6 +107,19 @@ def test_any_other_worker_that_is_lost_is_told_and_the_grasp_goes_on(service, bo
     assert (np.diff(ticks) == 1).all()
     if worker != "recorder":
         assert ticks[-1] - ticks[0] > (ran_s + 0.2) * 1000  # to the end, and from before the run
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("how", ["hangs", "exception", "memory hog"])
+@pytest.mark.parametrize("worker", ["estimator", "recorder"])
+def test_a_worker_that_is_lost_while_it_starts_is_replaced(service, worker, how):
+    """Signals before its first message: it hangs for ever, or takes memory before its bound for work is set."""
+    before = service.worker(worker)
+    os.kill(before, signal.SIGKILL)
+    starting = until(lambda: (pid := service.worker(worker)) != before and pid)
+    os.kill(starting, SIGNALS[how])
+    until(lambda: service.ready() and set(service.conditions().values()) == {"running"}, 60.0)
+    assert how != "hangs" or not os.path.exists(f"/proc/{starting}")  # a library may swallow what is raised in it
 
 
 def whole_files(service, run_id):
