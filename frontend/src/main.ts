@@ -14,9 +14,10 @@ import { Router, type Route } from "./shell/router";
 import { Session } from "./shell/session";
 import { AlarmSound } from "./shell/sound";
 import { StalenessBanner } from "./shell/staleness";
-import { StatusStrip } from "./shell/status";
+import { QUIET_START_MS, StatusStrip } from "./shell/status";
 import { StopButton } from "./shell/stop";
 import { Theme } from "./shell/theme";
+import { ViewChoice } from "./shell/view-choice";
 
 const model = new Model();
 const session = new Session();
@@ -26,6 +27,7 @@ const status = new StatusStrip(model);
 const staleness = new StalenessBanner(model);
 const sound = new AlarmSound();
 const alarms = new AlarmBar(model, sound, person);
+const view = new ViewChoice(session, scheduleRender);
 let live: WatchPage | null = null;
 
 const ROUTES: Route[] = [
@@ -33,7 +35,7 @@ const ROUTES: Route[] = [
     name: "live",
     title: "Live",
     matches: (path) => path === "/",
-    load: () => Promise.resolve((box) => (live = new WatchPage(box, model, person))),
+    load: () => Promise.resolve((box) => (live = new WatchPage(box, model, person, view))),
   },
   {
     name: "recordings",
@@ -174,6 +176,9 @@ byId("hints-again").addEventListener("click", () => {
   forgetHints(document);
 });
 byId("stop").addEventListener("click", () => live?.stopped());
+
+setTimeout(() => status.render(), QUIET_START_MS);
+document.body.dataset.program = "ready"; // before this nothing is shown, and no button that would do nothing
 
 const ticker = new Worker(new URL("./shell/ticker.worker.ts", import.meta.url), { type: "module" });
 

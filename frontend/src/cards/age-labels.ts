@@ -1,4 +1,4 @@
-import { setData, setText } from "../dom";
+import { find, setData, setText } from "../dom";
 import { duration } from "../format";
 import type { Freshness } from "../live/freshness";
 import type { Model } from "../live/model";
@@ -17,6 +17,7 @@ export class AgeLabels {
   render(nowMs: number): void {
     const freshness = this.model.isReplay ? (this.model.connected ? "live" : "lost") : this.model.freshness.at(nowMs);
     setData(this.root, "freshness", freshness);
+    setText(find(this.root, "live-word"), freshness === "live" && !this.model.isReplay ? "Live" : "");
     for (const element of this.ages) setText(element, this.inWords(freshness, this.model.freshness.ageMs(nowMs)));
   }
 

@@ -76,7 +76,7 @@ export class ForceCard {
     const mark = find(this.root, "gauge-peak");
     setHidden(mark, reportedPeak === null || !held?.in_grasp || !Number.isFinite(limit));
     if (reportedPeak === null) return setText(find(this.root, "force-peak"), "");
-    if (!held?.in_grasp) return setText(find(this.root, "force-peak"), `Peak of the last grasp ${newtons(reportedPeak)}`);
+    if (!held?.in_grasp) return setText(find(this.root, "force-peak"), `Last peak ${newtons(reportedPeak)}`);
     const peak = force > reportedPeak ? force : reportedPeak;
     setProperty(mark, "--share", onGauge(peak / limit));
     setText(find(this.root, "force-peak"), `Peak ${newtons(peak)}` + (Number.isFinite(limit) ? ` (${wholePercent(peak / limit)})` : ""));
@@ -90,8 +90,8 @@ export class ForceCard {
     const box = find(this.root, "force-holding");
     setHidden(box, !holding);
     if (holding) setText(box, `Limiter is holding the motor back${Number.isFinite(limit) ? ` under ${newtons(limit)}` : ""}`);
-    const timeToLimitS = held?.in_grasp ? held.time_to_limit_s : null;
-    setText(find(this.root, "force-forecast"), timeToLimitS === null || share >= 1 ? "" : `Limit in ${shortTime(timeToLimitS)} at this rate`);
+    const timeToLimitS = held?.in_grasp && !holding && share < 1 ? held.time_to_limit_s : null;
+    setText(find(this.root, "force-forecast"), timeToLimitS === null ? "" : `Limit in ${shortTime(timeToLimitS)} at this rate`);
   }
 
   private markZones(hello: Hello): void {

@@ -1,5 +1,5 @@
 import { create, find, setData, setProperty, setText } from "../dom";
-import { elapsed, percent, shortTime } from "../format";
+import { elapsed, NO_VALUE, percent, shortTime } from "../format";
 import type { Model } from "../live/model";
 import { tissueStyles, UNKNOWN_SLOT, type TissueStyle } from "../tissues";
 import type { Hello, Identification } from "../wire";
@@ -55,8 +55,8 @@ export class TissueCard {
     setData(this.card, "answer", "none");
     setText(find(this.root, "tissue-when"), "Held tissue");
     setText(find(this.root, "tissue-mark"), "");
-    setText(find(this.root, "tissue-label"), this.model.hello ? "Nothing yet" : "Connecting…");
-    setText(find(this.root, "tissue-probability"), "");
+    this.renderLabel(this.model.hello ? "Nothing yet" : "Connecting…");
+    setText(find(this.root, "tissue-probability"), NO_VALUE);
     setText(find(this.root, "tissue-facts"), this.hint());
   }
 
@@ -77,10 +77,19 @@ export class TissueCard {
     setData(this.card, "past", String(past));
     setText(find(this.root, "tissue-when"), past ? `Last grasp${this.sinceEnd(nowMs)}` : `${this.holding(nowMs)} · grasp ${held.grasp}`);
     setText(find(this.root, "tissue-mark"), isNamed ? this.markOf(held.label) : held.label === "undecided" ? "…" : "×");
-    setText(find(this.root, "tissue-label"), this.model.titleOf(held.label));
-    setText(find(this.root, "tissue-probability"), !isNamed ? "" : percent(held.probability));
+    this.renderLabel(this.model.titleOf(held.label));
+    setText(find(this.root, "tissue-probability"), !isNamed ? NO_VALUE : percent(held.probability));
     setText(find(this.root, "tissue-facts"), this.facts(held));
     if (!this.model.isReplay) setText(find(document, "label-live"), past ? "" : `Holding: ${this.model.titleOf(held.label)}`);
+  }
+
+  /** Shows the label. The stylesheet fits its size to its characters, its words and the longest of them. */
+  private renderLabel(text: string): void {
+    setText(find(this.root, "tissue-label"), text);
+    setProperty(this.card, "--characters", text.length);
+    const words = text.split(" ");
+    setProperty(this.card, "--words", words.length);
+    setProperty(this.card, "--word-characters", Math.max(...words.map((word) => word.length)));
   }
 
   private holding(nowMs: number): string {
@@ -102,7 +111,7 @@ export class TissueCard {
   }
 
   private undecidedFacts(held: Identification): string {
-    const notSure = held.in_grasp ? "not sure enough to name it" : "never sure enough to name it";
+    const notSure = held.in_grasp ? "not sure enough" : "never sure enough";
     const [likeliest] = Object.entries(held.probabilities).toSorted(([, a], [, b]) => b - a);
     return likeliest ? `${notSure} · likeliest ${this.model.titleOf(likeliest[0])}, ${percent(likeliest[1])}` : notSure;
   }

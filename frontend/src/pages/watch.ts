@@ -9,16 +9,21 @@ import { StressCard } from "../cards/stress";
 import { TissueCard } from "../cards/tissue";
 import { TruthCard } from "../cards/truth";
 import { ChartStack } from "../charts/stack";
-import { fill } from "../dom";
+import { fill, setData } from "../dom";
 import type { Model } from "../live/model";
 import { showHints } from "../shell/hints";
 import { keepListsInThePage, type KeyAction } from "../shell/keys";
 import type { Person } from "../shell/person";
 import type { Page } from "../shell/router";
+import type { ViewChoice } from "../shell/view-choice";
 import "../styles/watch.css";
 import "../styles/cards.css";
 import "../styles/charts.css";
+import "../styles/or-view.css";
 import markup from "./watch.html?raw";
+
+/** Longest time that the page stays empty while it waits for the tool's and the library's names. */
+const MAX_EMPTY_MS = 2_000;
 
 /** The cards and charts of one source: the live tool or a recording. */
 export class WatchPage implements Page {
@@ -33,11 +38,14 @@ export class WatchPage implements Page {
   private readonly truth: TruthCard;
   private readonly labSession: LabSessionLine;
   private readonly ages: AgeLabels;
+  private readonly openedAt = performance.now();
 
+  /** `view` chooses between the two views of the live page; a replay has the detailed one only. */
   constructor(
     box: HTMLElement,
     private readonly model: Model,
     person: Person,
+    private readonly view: ViewChoice | null = null,
   ) {
     const root = fill(box, markup);
     this.root = root;
@@ -54,18 +62,23 @@ export class WatchPage implements Page {
     this.labSession = new LabSessionLine(root, model, person);
     this.protocol = new ProtocolPanel(root, model, person);
     if (!model.isReplay) void this.protocol.load();
+    this.view?.open();
   }
 
   /** The tissues' keys change with the library. */
   get keys(): KeyAction[] {
+    const views = this.view ? [viewKey(this.view)] : [];
+    if (this.view?.isOr) return views;
     const live = this.model.isReplay ? [] : [startKey(this.protocol), spotKey(this.protocol), ...this.truth.keys];
-    return [...chartKeys(this.charts), ...live];
+    return [...views, ...chartKeys(this.charts), ...live];
   }
 
   render(nowMs: number): void {
+    setData(this.root, "ready", String(this.model.hello !== null || nowMs - this.openedAt > MAX_EMPTY_MS));
     this.ages.render(nowMs);
     this.tissue.render(nowMs);
     this.force.render();
+    if (this.view?.isOr) return;
     this.protocol.render();
     this.truth.render();
     this.labSession.render();
@@ -90,10 +103,18 @@ export class WatchPage implements Page {
   }
 
   close(): void {
+    this.view?.close();
     this.charts.close();
     this.stress.close();
   }
 }
+
+const viewKey = (view: ViewChoice): KeyAction => ({
+  key: "v",
+  label: "V",
+  description: "OR view, or all details",
+  run: () => view.toggle(),
+});
 
 const startKey = (protocol: ProtocolPanel): KeyAction => ({
   key: "S",

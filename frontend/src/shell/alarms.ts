@@ -28,6 +28,8 @@ export const pageAlarm = (id: string, priority: ShownAlarm["priority"], text: st
 });
 
 const RANK: Record<Priority, number> = { high: 3, medium: 2, low: 1 };
+/** Above this number of characters the bar's text is smaller, so that it still fits on two lines. */
+const LONG_TEXT = 60;
 const PRIORITY_TEXT: Record<Priority, string> = { high: "HIGH", medium: "MEDIUM", low: "LOW" };
 
 /** Shows the highest alarm at all times, and a list of all alarms on request. */
@@ -103,11 +105,12 @@ export class AlarmBar {
     setData(this.bar, "priority", top?.priority ?? "none");
     setData(this.bar, "quiet", String(top !== undefined && top.acknowledgedBy !== null));
     setText(byId("alarm-priority"), top ? PRIORITY_TEXT[top.priority] : "");
+    setData(this.bar, "long", String((top?.text.length ?? 0) > LONG_TEXT));
     setText(byId("alarm-text"), top?.text ?? (this.model.state ? "No alarms" : "Alarms are not known yet"));
     setText(byId("alarm-since"), top ? sinceText(top, nowMs) : this.lastAlarm());
     const more = byId("alarm-more");
     setHidden(more, alarms.length < 2);
-    setText(more, `+${alarms.length - 1} more`);
+    setText(more, `+${Math.max(0, alarms.length - 1)} more`);
     setHidden(byId("acknowledge"), !alarms.some((alarm) => this.canAcknowledge(alarm)));
   }
 
@@ -157,11 +160,11 @@ const byUrgency = (a: ShownAlarm, b: ShownAlarm): number =>
   Number(a.latched) - Number(b.latched) ||
   b.beganAt - a.beganAt;
 
-/** Returns the server's text, with value and limit unless it contains numbers already. */
+/** Returns the server's text, after its value and limit unless it contains numbers already. */
 function alarmText({ text, value, limit, unit }: Alarm): string {
   if (value === null || /\d/.test(text)) return text;
   const ofLimit = limit === null ? "" : `, limit ${limit.toFixed(2)}\u202f${unit ?? ""}`;
-  return `${text}: ${value.toFixed(2)}\u202f${unit ?? ""}${ofLimit}`;
+  return `${value.toFixed(2)}\u202f${unit ?? ""}${ofLimit}: ${text}`;
 }
 
 function sinceText(alarm: ShownAlarm, nowMs: number): string {

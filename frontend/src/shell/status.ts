@@ -8,6 +8,8 @@ const KIND: Record<ToolKind, string> = { simulated: "SIMULATED", nidaq: "REAL TO
 /** Weight of the old mean at each frame: averages over about one second at 30 frames a second. */
 const MEAN_WEIGHT = 0.97;
 const LOW_DISK_BYTES = 1e9;
+/** A page that has just been opened does not say yet that it has no connection. */
+export const QUIET_START_MS = 2_000;
 
 /** Shows which tool this is, and the rates and delays on the way from a sample to the screen. */
 export class StatusStrip {
@@ -16,9 +18,10 @@ export class StatusStrip {
   constructor(private readonly model: Model) {}
 
   render(): void {
-    const { hello, state } = this.model;
+    const { state } = this.model;
+    const hello = state && this.model.hello; // both, because the state says whether it is a demonstration
     setData(byId("tool"), "kind", hello?.tool.kind ?? "none");
-    setText(byId("tool-kind"), hello ? `${this.kindOf(hello.tool)}${state?.demo ? " · DEMO" : ""}` : "NOT CONNECTED");
+    setText(byId("tool-kind"), hello ? `${this.kindOf(hello.tool)}${state.demo ? " · DEMO" : ""}` : this.notConnected("NOT CONNECTED"));
     setText(byId("tool-title"), this.titleInWords());
     setHidden(byId("demo"), !state?.demo);
     setText(byId("demo"), state?.demo ? `Demonstration: ${state.demo}` : "");
@@ -57,9 +60,12 @@ export class StatusStrip {
     return kind === "nidaq" && !hasMotor ? KIND.serial : KIND[kind];
   }
 
+  /** Returns the words once the page has waited for long enough that they are worth a look. */
+  private readonly notConnected = (words: string): string => (performance.now() < QUIET_START_MS ? "" : words);
+
   private titleInWords(): string {
-    const { hello } = this.model;
-    if (!hello) return "waiting for the server";
+    const { hello, state } = this.model;
+    if (!hello || !state) return this.notConnected("waiting for the server");
     if (this.model.hasNoTool) return "this service only shows recordings";
     return hello.tool.title;
   }

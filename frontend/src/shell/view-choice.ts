@@ -1,0 +1,51 @@
+import { byId, setHidden, setText } from "../dom";
+import type { Session } from "./session";
+
+/** The OR view shows what an assistant needs from two metres: tissue, force, alarm, live or not, and STOP. */
+type View = "or" | "detailed";
+
+const KEY = "graspwatch-view";
+
+/** The view of the live page: that of the address (`?view=or`), else the person's choice, else the OR view for viewers. */
+export class ViewChoice {
+  private view: View = "detailed";
+  private readonly root = document.documentElement;
+
+  constructor(
+    private readonly session: Session,
+    private readonly onChange: () => void,
+  ) {
+    byId("view").addEventListener("click", () => this.toggle());
+    if (location.pathname === "/") this.open(); // before the first paint, so that nothing moves later
+  }
+
+  get isOr(): boolean {
+    return this.root.dataset.view === "or";
+  }
+
+  /** Applies the view. Call it when the live page opens. */
+  open(): void {
+    const asked = new URLSearchParams(location.search).get("view") ?? localStorage.getItem(KEY);
+    this.view = asked === "or" || (asked !== "detailed" && this.session.role === "viewer") ? "or" : "detailed";
+    this.show();
+  }
+
+  /** Leaves the view. Call it when the live page closes: the other pages have one view only. */
+  close(): void {
+    delete this.root.dataset.view;
+    setHidden(byId("view"), true);
+  }
+
+  toggle(): void {
+    this.view = this.view === "or" ? "detailed" : "or";
+    localStorage.setItem(KEY, this.view);
+    this.show();
+    this.onChange();
+  }
+
+  private show(): void {
+    this.root.dataset.view = this.view;
+    setText(byId("view-text"), this.view === "or" ? "All details" : "OR view");
+    setHidden(byId("view"), false);
+  }
+}
