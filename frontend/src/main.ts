@@ -104,6 +104,8 @@ const ROUTES: Route[] = [
 const router = new Router(ROUTES, scheduleRender);
 const theme = new Theme(() => router.page?.themeChanged?.());
 
+/** A state that is older says nothing about now; the server sends one each second, and at each change. */
+const STATE_AGE_MS = 1_500;
 let scheduled = false;
 let drawnMs = NaN;
 
@@ -157,6 +159,7 @@ function stopNow(): void {
 
 const keys = new KeyHandler(
   stopNow,
+  () => !model.standsStillSince(performance.now() - STATE_AGE_MS, performance.now()),
   [
     { key: "k", label: "K", description: "Acknowledge the highest alarm", run: () => alarms.acknowledge() },
     { key: "l", label: "L", description: "Show or hide all alarms", run: () => alarms.toggleList() },

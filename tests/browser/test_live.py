@@ -219,3 +219,24 @@ def test_what_counts_is_in_sight_on_every_screen(service, watch, width, height):
         for name in ("force-now", "gauge", "force-threshold"):
             box = viewer.page.locator(f"#{name}").bounding_box()
             assert box["y"] + box["height"] <= footer["y"], name
+
+
+def test_escape_closes_a_dialog_and_sends_no_stop_while_the_tool_stands_still(service, watch):
+    viewer = watch(service.url)
+    expect(viewer.page.locator("#watch")).to_have_attribute("data-freshness", "live")
+    viewer.page.keyboard.press("?")
+    keys = viewer.page.locator("#keys")
+    expect(keys.get_by_role("heading", name="Keys")).to_be_in_viewport()
+    viewer.page.keyboard.press("Escape")
+    expect(keys).to_be_hidden()
+    viewer.page.keyboard.press("Escape")
+    expect(viewer.at("stop-message")).to_contain_text("nothing was running")
+    assert sum(request.endswith("/api/stop") for request in viewer.requests) == 1
+
+
+def test_the_forces_of_the_filters_have_a_chart_of_their_own(service, watch):
+    viewer = watch(service.url)
+    expect(viewer.page.locator("#lines-force")).not_to_contain_text("Liver")
+    viewer.page.keyboard.press("g")
+    expect(viewer.page.locator("#parameter-unit")).to_have_text("N, force by each filter")
+    expect(viewer.page.locator("#lines-parameter")).to_contain_text("filtered")

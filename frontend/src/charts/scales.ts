@@ -16,13 +16,19 @@ export interface VerticalScale {
 
 const short = (value: number): string => Number(value.toPrecision(3)).toString();
 
-/** From just below zero to the next half newton above threshold and data. */
-const force = (hello: Hello): VerticalScale => ({
-  logarithmic: false,
-  range: (min, max) => [stepDown(Math.min(-0.1, min ?? 0), 0.1), stepUp(Math.max(hello.lowest_threshold_n, max ?? 0) * 1.06, 0.5)],
-  label: (n) => n.toFixed(1),
-  readout: (n) => n.toFixed(2),
-});
+/** From just below zero to the next half newton above threshold and data. It grows only: a run keeps its scale. */
+function force(hello: Hello): VerticalScale {
+  let [low, high] = [-0.1, hello.lowest_threshold_n];
+  return {
+    logarithmic: false,
+    range: (min, max) => {
+      [low, high] = [Math.min(low, min ?? 0), Math.max(high, max ?? 0)];
+      return [stepDown(low, 0.1), stepUp(high * 1.06, 0.5)];
+    },
+    label: (n) => n.toFixed(1),
+    readout: (n) => n.toFixed(2),
+  };
+}
 
 const displacement: VerticalScale = {
   logarithmic: false,
@@ -43,7 +49,7 @@ const probability: VerticalScale = {
 const NIS_RANGE = [0.1, 100];
 
 /** Whole decades around the library and the estimates. Diverging estimates leave the chart; they do not stretch it. */
-const parameter = (hello: Hello, which: Parameter): VerticalScale => {
+const parameter = (hello: Hello, which: Exclude<Parameter, "force_n">): VerticalScale => {
   const library = which === "nis" ? NIS_RANGE : hello.library.tissues.map((tissue) => tissue[which]);
   const low = Math.min(...library);
   const high = Math.max(...library);
@@ -72,10 +78,10 @@ const linear: VerticalScale = {
 };
 
 export function verticalScale(chart: string, hello: Hello, which: Parameter): VerticalScale {
-  if (chart === "force") return force(hello);
+  if (chart === "force" || (chart === "parameter" && which === "force_n")) return force(hello);
   if (chart === "displacement") return displacement;
   if (chart === "probability") return probability;
-  return chart === "parameter" ? parameter(hello, which) : linear;
+  return chart === "parameter" && which !== "force_n" ? parameter(hello, which) : linear;
 }
 
 /** Converts the scale to uPlot's form. */

@@ -21,6 +21,7 @@ const PARAMETERS: Record<Parameter, string> = {
   beta_per_m: "1/m, stiffening β",
   damping_kg_per_s: "kg/s, damping d",
   nis: "fit of each filter: NIS, 1 if it fits",
+  force_n: "N, force by each filter",
 };
 
 /** The strip charts on one time axis: four, and one for each further chart in the table of signals. */
@@ -28,7 +29,7 @@ export class ChartStack {
   private strips: Strip[] = [];
   private buckets: Buckets | null = null;
   private view: View | null = null;
-  private builtFor: { ring: SampleRing; channels: unknown } | null = null;
+  private builtFor: { ring: SampleRing; channels: unknown; run: string | null } | null = null;
   private drawnState = "";
   private pausedBefore = false;
   private pointerDown = false;
@@ -59,7 +60,9 @@ export class ChartStack {
     const { ring, hello } = this.model;
     setData(find(this.root, "charts"), "empty", String(ring === null || ring.isEmpty));
     if (!ring || !hello) return;
-    if (this.builtFor?.ring !== ring || this.builtFor.channels !== hello.channels) this.rebuild();
+    const { builtFor } = this;
+    const isSame = builtFor?.ring === ring && builtFor.channels === hello.channels && builtFor.run === this.model.graspsOfRun;
+    if (!isSame) this.rebuild(); // each run has a scale of its own
     const { view, buckets } = this;
     if (!view || !buckets || ring.isEmpty) return;
     const began = performance.now();
@@ -88,7 +91,7 @@ export class ChartStack {
     const { ring, hello } = this.model;
     if (!ring || !hello) return;
     if (this.builtFor?.ring !== ring) this.view = new View(ring, hello.tool.sample_rate_hz);
-    this.builtFor = { ring, channels: hello.channels };
+    this.builtFor = { ring, channels: hello.channels, run: this.model.graspsOfRun };
     for (const strip of this.strips) strip.destroy();
     const specs = plotSpecs(this.model, this.parameter);
     this.placeFurtherCharts(specs);

@@ -19,7 +19,8 @@ export interface Trace {
   scaled: boolean;
 }
 
-export type Parameter = "alpha_n" | "beta_per_m" | "damping_kg_per_s" | "nis";
+/** What the last chart shows of each filter: a parameter, its fit, or its force. */
+export type Parameter = "alpha_n" | "beta_per_m" | "damping_kg_per_s" | "nis" | "force_n";
 
 export interface PlotSpec {
   id: string;
@@ -60,9 +61,10 @@ const ofTissue = (model: Model, channel: string, style: TissueStyle, scaled: boo
   scaled,
 });
 
-/** Channel with the SD of each parameter's logarithm; a fit has none. */
+/** Channel with the SD of each parameter's logarithm; a fit and a force have none. */
 const SD_OF: Record<Parameter, string> = {
   nis: "",
+  force_n: "",
   alpha_n: "log_alpha_sd",
   beta_per_m: "log_beta_sd",
   damping_kg_per_s: "log_damping_sd",
@@ -81,7 +83,6 @@ export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
       id: "force",
       traces: [
         ...force.filter(isRaw),
-        ...library.map((style) => ofTissue(model, "force_n", style, false)),
         ...force.filter((trace) => !isRaw(trace) && !isLimit(trace)),
         threshold(model),
         ...force.filter(isLimit),
@@ -92,10 +93,13 @@ export function plotSpecs(model: Model, parameter: Parameter): PlotSpec[] {
     { id: "probability", traces: styles.map((style) => ofTissue(model, "probability", style, true)) },
     {
       id: "parameter",
-      traces: library.map((style) => ({
-        ...ofTissue(model, parameter, style, true),
-        sdColumn: model.column(SD_OF[parameter], style.name),
-      })),
+      traces: [
+        ...library.map((style) => ({
+          ...ofTissue(model, parameter, style, parameter !== "force_n"),
+          sdColumn: model.column(SD_OF[parameter], style.name),
+        })),
+        ...force.filter(({ key }) => parameter === "force_n" && key === "measured"),
+      ],
     },
   ];
   return specs.map((spec) => ({ ...spec, traces: spec.traces.filter((trace) => trace.column >= 0) }));

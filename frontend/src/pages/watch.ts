@@ -141,4 +141,5 @@ const chartKeys = (charts: ChartStack): KeyAction[] => [
   { key: "b", label: "B", description: "Chart of beta", run: () => charts.showParameter("beta_per_m") },
   { key: "d", label: "D", description: "Chart of d", run: () => charts.showParameter("damping_kg_per_s") },
   { key: "f", label: "F", description: "Chart of each filter's fit (NIS)", run: () => charts.showParameter("nis") },
+  { key: "g", label: "G", description: "Chart of each filter's force", run: () => charts.showParameter("force_n") },
 ];

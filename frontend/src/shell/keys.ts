@@ -7,14 +7,18 @@ export interface KeyAction {
   run: () => void;
 }
 
-/** Handles keys. Escape stops the run wherever the focus is; the other keys work outside of input fields. */
+/**
+ * Handles keys. Escape stops the run wherever the focus is, and closes a dialog; without a run it closes the dialog
+ * only. The other keys work outside of input fields.
+ */
 export class KeyHandler {
   private readonly dialog = byId("keys", HTMLDialogElement);
   private readonly help: KeyAction = { key: "?", label: "?", description: "Show or hide these keys", run: () => this.toggle() };
 
-  /** `pageKeys` returns the keys of the open page. */
+  /** `pageKeys` returns the keys of the open page; `mayBeMoving`, whether the motor moves or may move. */
   constructor(
     private readonly stop: () => void,
+    private readonly mayBeMoving: () => boolean,
     private readonly globalKeys: KeyAction[],
     private readonly pageKeys: () => KeyAction[],
     private readonly onEscape: () => void,
@@ -29,7 +33,8 @@ export class KeyHandler {
 
   private onKey(event: KeyboardEvent): void {
     if (event.key === "Escape") {
-      if (!event.repeat) this.stop();
+      const onlyCloses = document.querySelector("dialog[open]") !== null && !this.mayBeMoving();
+      if (!event.repeat && !onlyCloses) this.stop();
       this.close();
       this.onEscape();
       return;
@@ -51,6 +56,7 @@ export class KeyHandler {
       ...rows.flatMap(({ label, description }) => [create("dt", "", label), create("dd", "", description)]),
     );
     this.dialog.show(); // not modal: STOP must stay within reach
+    this.dialog.scrollTop = 0;
   }
 }
 

@@ -4,6 +4,8 @@ import type { Model } from "../live/model";
 import { pageAlarm, type ShownAlarm } from "./alarms";
 
 const NOTICE_MS = 15_000;
+/** Time that a page which has just been opened may take to connect before that is an alarm. */
+const FIRST_CONNECTION_MS = 2_000;
 
 /** Says on every page that no data arrive from the tool and, once they are back, how long they were missing. */
 export class StalenessBanner {
@@ -14,7 +16,8 @@ export class StalenessBanner {
   /** Returns the page's own alarm while no data arrive. */
   render(nowMs: number): ShownAlarm[] {
     const { freshness } = this.model;
-    if (this.model.isStarting || this.model.hasNoTool) freshness.expectNoData(nowMs);
+    const isOpening = !this.model.connected && nowMs < FIRST_CONNECTION_MS;
+    if (isOpening || this.model.isStarting || this.model.hasNoTool) freshness.expectNoData(nowMs);
     const lost = freshness.at(nowMs) === "lost";
     const age = freshness.ageMs(nowMs);
     const banner = byId("stale-banner");
