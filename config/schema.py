@@ -830,7 +830,7 @@ class ReferenceGrasp(ConfigModel):
     tool: Slug  # name of the tool
     calibration: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]  # `Tool.calibration_fingerprint`
     taken_at: AwareDatetime
-    person: str | None  # who took it; None if that is not known
+    person: str | None = None  # who took it, if that is known
     grasps: Annotated[int, Field(ge=1)]  # number of grasps whose medians the values below are
     command_v: Positive  # highest motor command, V
     stall_v: Positive  # strain over rest at which the drive stalls on empty jaws, V

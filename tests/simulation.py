@@ -25,8 +25,9 @@ def simulate_raw(
     seed: int = 0,
     cycles: int = 1,
     tool: Tool | None = None,
+    empty: bool = False,
 ) -> list[RawBlock]:
-    """Return the raw blocks of a protocol on specimens of `tissue`, including the last rest."""
+    """Return the raw blocks of a protocol on specimens of `tissue`, or with empty jaws, including the last rest."""
     tool = tool or load_tool("simulated")
     played = load_grasp_protocol(protocol) if isinstance(protocol, str) else protocol
     player = ProtocolPlayer(played, tool, cycles)
@@ -34,6 +35,7 @@ def simulate_raw(
     while not player.done:
         commands += [player.next_command(tool.board.block_samples)] * tool.board.block_samples
     grasper = SimulatedGrasper(tool, load_library("porcine"), tissue, seed)
+    grasper.gauge_m = 0.0 if empty else None
     return cut(drive(grasper, commands), range(0, len(commands), tool.board.block_samples))
 
 

@@ -2,7 +2,8 @@
 
 import codecs
 import math
-from collections.abc import Callable
+import typing
+from collections.abc import Callable, Iterator
 from datetime import date
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from config.errors import ConfigurationError
 from config.load import (
@@ -513,3 +514,24 @@ def test_an_unknown_name_is_told_with_what_there_is(folder: str, near: str, mean
 def test_what_was_loaded_cannot_be_changed(tool: Tool) -> None:
     with pytest.raises(ValidationError):
         tool.limits.max_command_v = 10.0
+
+
+def models_in(annotation: object) -> Iterator[type[BaseModel]]:
+    """All models that a value of this type may hold."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+        for each in annotation.model_fields.values():
+            yield from models_in(each.annotation)
+    for part in typing.get_args(annotation):
+        yield from models_in(part)
+
+
+@pytest.mark.parametrize("model", [Tool, TissueLibrary, GraspProtocol, Settings])
+def test_whatever_may_be_unknown_may_be_left_out_because_toml_has_no_null(model: type[BaseModel]) -> None:
+    required = [
+        (each.__name__, name)
+        for each in set(models_in(model))
+        for name, field in each.model_fields.items()
+        if field.is_required() and type(None) in typing.get_args(field.annotation)
+    ]
+    assert required == []

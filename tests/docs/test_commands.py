@@ -72,6 +72,9 @@ def stage(folder: Path, port: int) -> dict[str, str]:
     grasps = {tissue: joined(simulate_raw(tissue, seed=3, cycles=12)) for tissue in set(HELD.values())}
     for name, tissue in HELD.items():
         write_lvm(here / f"{name}.lvm.gz", grasps[tissue])
+    nothing = joined(simulate_raw("liver", "reference_grasp", seed=3, cycles=5, empty=True))
+    for name in ("empty", "empty_of_that_day"):
+        write_lvm(here / f"{name}.lvm.gz", nothing)
     return {**os.environ, "PATH": f"{programs}:{PROGRAMS}:{os.environ['PATH']}", "FORCE_COLOR": ""}
 
 

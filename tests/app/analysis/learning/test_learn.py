@@ -65,6 +65,15 @@ def replayed(path: Path, library, tool_name="simulated"):
     ).grasps
 
 
+def test_a_library_with_a_reference_grasp_can_be_read_again(folder):
+    write_lvm(folder / "empty.lvm", joined(simulate_raw("liver", "reference_grasp", seed=3, cycles=3, empty=True)))
+    labels = [f"--label={tissue}={folder}/{tissue}1.lvm" for tissue in ("bladder", "liver")]
+    learn(*labels, *SIMULATED, "--reference", folder / "empty.lvm", "--out", folder / "of_that_day.toml")
+    [recording] = load_library(str(folder / "of_that_day.toml")).tissues["liver"].learned.recordings
+    assert recording.reference.tool == "simulated"
+    assert recording.reference.person is None
+
+
 def test_it_names_the_tissues_of_other_recordings(folder, learned):
     for tissue in ("bladder", "liver"):
         grasps = replayed(folder / f"{tissue}2.lvm", learned[0])
