@@ -20,18 +20,19 @@ CHECKOUT = Path(__file__).parents[2]
 PROGRAMS = Path(sys.executable).parent
 NEWEST = '$(basename "$(ls graspwatch-data/recordings/*.mcap | tail -n 1)" .mcap)'
 HELD = {
-    "RECORDING": "liver",
-    "liver": "liver",
-    "liver1": "liver",
-    "liver4Hz1": "liver",
-    "bladder": "bladder",
-    "bladder1": "bladder",
-    "bladder2": "bladder",
-    "another": "bladder",
-    "a": "liver",
-    "b": "liver",
-    "c": "bladder",
+    "RECORDING": ("liver", 3),
+    "liver": ("liver", 3),
+    "liver1": ("liver", 4),
+    "liver4Hz1": ("liver", 3),
+    "bladder": ("bladder", 3),
+    "bladder1": ("bladder", 3),
+    "bladder2": ("bladder", 4),
+    "another": ("bladder", 3),
+    "a": ("liver", 3),
+    "b": ("liver", 3),
+    "c": ("bladder", 3),
 }
+"""What each of the reader's files holds, and the seed of its specimen."""
 LONG_PAGES = ("README.md", "docs/tutorial.md", "docs/operating.md", "docs/recordings.md", "docs/learning.md")
 PAGES = [
     "docs/programs.md",
@@ -69,9 +70,9 @@ def stage(folder: Path, port: int) -> dict[str, str]:
     (programs / "graspwatch").chmod(0o755)
     here = folder / "here"
     self_signed(here)
-    grasps = {tissue: joined(simulate_raw(tissue, seed=3, cycles=12)) for tissue in set(HELD.values())}
-    for name, tissue in HELD.items():
-        write_lvm(here / f"{name}.lvm.gz", grasps[tissue])
+    grasps = {held: joined(simulate_raw(held[0], seed=held[1], cycles=12)) for held in set(HELD.values())}
+    for name, held in HELD.items():
+        write_lvm(here / f"{name}.lvm.gz", grasps[held])
     nothing = joined(simulate_raw("liver", "reference_grasp", seed=3, cycles=5, empty=True))
     for name in ("empty", "empty_of_that_day"):
         write_lvm(here / f"{name}.lvm.gz", nothing)
