@@ -36,7 +36,7 @@ class Decision:
         least = self.settings.decide_at if complete else self.settings.withdraw_below
         if self.label != UNDECIDED and probabilities[self.names.index(self.label)] < least:
             self.label, self.decided_tick = UNDECIDED, -1
-        top = int(np.argmax(probabilities))
+        top = int(probabilities.argmax())
         candidate = self.names[top] if probabilities[top] >= self.settings.decide_at else UNDECIDED
         if candidate != self._candidate:
             self._candidate, self._candidate_tick = candidate, tick
