@@ -20,13 +20,17 @@ from app.messages.journal import JournalCheck, JournalEntry, JournalKind
 from app.messages.lab_sessions import LabSession, LabSessionChange, LabSessionRequest, SpecimenCondition
 from app.messages.live import NO_REFERENCE
 from app.messages.named_files import (
+    ApprovalRequest,
     ColumnSummary,
     FileCheck,
     FileContent,
     FileList,
     FileRequest,
     FileText,
+    LibraryApproval,
+    LibraryVersion,
     NamedFile,
+    RestoreRequest,
     TimeColumnGuess,
     ToolDraftReport,
 )
@@ -172,6 +176,16 @@ ramp_down_s = 0.5
 rest_s = 1.0
 """
 
+_VERSION = "b1f04c6a7d2e9380"
+_APPROVAL = LibraryApproval(
+    sha256=f"{_VERSION}1f8e5b7c4a90d263{_VERSION}1f8e5b7c4a90d263",
+    library="ward_3",
+    approved=True,
+    reason="judged on 40 spots of 5 animals",
+    by="Ada",
+    at="2026-12-01T10:05:00+00:00",
+)
+
 EXAMPLES: dict[str, BaseModel] = {
     type(each).__name__: each
     for each in (
@@ -189,6 +203,10 @@ EXAMPLES: dict[str, BaseModel] = {
             subject="P-12", species="pig", condition=SpecimenCondition.EX_VIVO, operator="Ada", version=1, by="Ada"
         ),
         AcknowledgeRequest(by="Ada", priority=Priority.MEDIUM),
+        _APPROVAL,
+        LibraryVersion(version=_VERSION, saved_at="2026-12-01T10:00:00+00:00", current=True, approval=_APPROVAL),
+        ApprovalRequest(version=_VERSION, reason="judged on 40 spots of 5 animals", by="Ada"),
+        RestoreRequest(version=_VERSION, replaces="5ff1a0c2e9d37b64", by="Ada"),
         FileText(text=_PROTOCOL_TEXT),
         FileRequest(text=_PROTOCOL_TEXT, by="Ada"),
         FileList(folder="/var/lib/graspwatch", files=[_PROTOCOL_FILE]),

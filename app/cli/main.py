@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from app import __version__
-from app.cli import audit, calibrate, study, tool
+from app.cli import audit, calibrate, library, study, tool
 from app.cli import token as people
 from app.cli.bench import bench
 from app.cli.check import check
@@ -46,6 +46,7 @@ app.add_typer(audit.app, name="audit")
 app.add_typer(people.app, name="token")
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(tool.app, name="tool")
+app.add_typer(library.app, name="library")
 app.command("import")(import_)
 for command in (export, label, verify, check, bench, support):
     app.command()(command)

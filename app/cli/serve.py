@@ -59,6 +59,10 @@ def serve(
         raise ConfigurationError(f"The tool {chosen.name!r} is for recordings. Use `graspwatch replay FILE --serve`.")
     if chosen.kind is not ToolKind.SIMULATED and (tissue or demo):
         raise ConfigurationError("--tissue and --demo are for the simulated grasper; leave them out for a real tool.")
+    if chosen.kind is not ToolKind.SIMULATED:
+        from app.service.library_approvals import LibraryApprovals
+
+        LibraryApprovals(own).check(find_file(settings.library, FileKind.LIBRARY, own))
     held = (
         require_known_name(tissue, list(build_graspable_library(library).tissues), "tissue")
         if tissue

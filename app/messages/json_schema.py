@@ -33,7 +33,18 @@ from app.messages.grasps import Grasp, GraspEnded, Identification
 from app.messages.journal import JournalCheck, JournalEntry
 from app.messages.lab_sessions import LabSession, LabSessionChange, LabSessionRequest
 from app.messages.live import FRAME_HEADER, FRAME_KINDS, FRAME_MAGIC, FrameReceived, ReplayControl, ServerMessage
-from app.messages.named_files import FileCheck, FileContent, FileList, FileRequest, FileText, ToolDraftReport
+from app.messages.named_files import (
+    ApprovalRequest,
+    FileCheck,
+    FileContent,
+    FileList,
+    FileRequest,
+    FileText,
+    LibraryApproval,
+    LibraryVersion,
+    RestoreRequest,
+    ToolDraftReport,
+)
 from app.messages.people import ControlInfo, ControlRequest, SessionInfo, SignIn
 from app.messages.recordings import BinContent, FileRecord, Recordings, RunManifest
 from app.messages.runs import DeclineRequest, Run, RunRequest, SpotRequest, StopAnswer, StopRequest
@@ -68,6 +79,7 @@ SENT_BY_SERVER: tuple[type[Message], ...] = (
     FileCheck,
     FileContent,
     ToolDraftReport,
+    LibraryVersion,
     TruthStatement,
 )
 """Answers to requests, beside the `ServerMessage`s of the live stream."""
@@ -86,6 +98,8 @@ SENT_BY_CLIENT: tuple[type[Request], ...] = (
     CalibrationRequest,
     FileText,
     FileRequest,
+    ApprovalRequest,
+    RestoreRequest,
     TruthRequest,
     TruthCorrection,
     MarkRequest,
@@ -105,6 +119,7 @@ STORED: tuple[type[Record], ...] = (
     FileRecord,
     RunManifest,
     StudyRun,
+    LibraryApproval,
 )
 
 # Fields of `FRAME_HEADER`, in order

@@ -4,12 +4,23 @@ from typing import Annotated
 
 from pydantic import Field
 
-from app.messages.base import Message, PersonName, Request
+from app.messages.base import Message, PersonName, Record, Request
 from app.messages.tool import LibraryInfo, ProtocolInfo
 from config.load import FileKind
 
 TOOL_NAME_PATTERN = r"^[a-z0-9][a-z0-9_]*$"
 MAX_TEXT_CHARACTERS = 50_000  # as `most_body_bytes` of the settings allows
+
+
+class LibraryApproval(Record):
+    """Decision on one text of a tissue library: whether the service may use it on a real tool."""
+
+    sha256: str = Field(description="SHA-256 of the text")
+    library: str = Field(description="Name of the library")
+    approved: bool = Field(description="False: an earlier approval is withdrawn")
+    reason: str
+    by: str | None
+    at: str = Field(description="Time, ISO 8601")
 
 
 class NamedFile(Message):
@@ -21,6 +32,9 @@ class NamedFile(Message):
     shipped: bool = Field(description="Whether it comes with the program, and cannot be changed")
     problems: list[str] = Field(description="Why it cannot be chosen, one message a fault")
     in_use: str | None = Field(description="Why it cannot be changed now; null: it can")
+    approval: LibraryApproval | None = Field(
+        default=None, description="Newest decision on the text of an own library; null: none. Shipped ones need none"
+    )
 
 
 class FileList(Message):
@@ -45,6 +59,32 @@ class FileContent(FileCheck):
     file: NamedFile
     text: str
     version: str = Field(description="Identifies this text; a request that replaces it names it")
+
+
+class LibraryVersion(Message):
+    """One text of an own library: the present one, or one that was replaced."""
+
+    version: str
+    saved_at: str = Field(description="Time, ISO 8601, at which the text was saved")
+    current: bool
+    approval: LibraryApproval | None
+
+
+class ApprovalRequest(Request):
+    """Request to approve a library for real tools, or to withdraw that."""
+
+    version: Annotated[str, Field(max_length=64, description="Of the text that was judged")]
+    reason: Annotated[str, Field(min_length=3, max_length=300, description="Goes into the journal")]
+    approved: bool = True
+    by: PersonName | None = None
+
+
+class RestoreRequest(Request):
+    """Request to save an earlier text of a library again."""
+
+    version: Annotated[str, Field(max_length=64, description="Of the earlier text")]
+    replaces: Annotated[str, Field(max_length=64, description="Version of the present text")]
+    by: PersonName | None = None
 
 
 class ColumnSummary(Message):

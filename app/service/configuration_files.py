@@ -1,12 +1,18 @@
 """The class ConfigurationFiles: lists and checks protocols, libraries and tool files; saves and deletes own ones."""
 
-import hashlib
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.messages.named_files import FileCheck, FileContent, FileList, NamedFile
+from app.messages.named_files import FileCheck, FileContent, FileList, LibraryVersion, NamedFile
+from app.service.library_approvals import (
+    LibraryApprovals,
+    compute_version,
+    keep_version,
+    list_kept_versions,
+    read_saved_time,
+)
 from app.service.runs import RunRegistry
 from app.stream.descriptions import build_library_info, build_protocol_info
 from config.atomic_write import write_atomically
@@ -27,7 +33,6 @@ from config.schema import GraspProtocol, TissueLibrary
 from config.service_plan import ServicePlan
 
 MAX_FILES = 1000  # of each kind
-VERSION_DIGITS = 16
 
 
 class NoSuchFileError(RefusedError):
@@ -51,6 +56,7 @@ class ConfigurationFiles:
         """Prepare the files; `get_calibration_source` returns the tool file that the next calibration builds on."""
         self._plan, self._runs, self._get_calibration_source = plan, runs, get_calibration_source
         self._first_tool_source = plan.tool_source
+        self.approvals = LibraryApprovals(plan.data_folder)
         self._lock = threading.Lock()  # from the check of a version until the file is written
         self._summaries: dict[Path, _Summary] = {}
 
@@ -87,7 +93,7 @@ class ConfigurationFiles:
             raise RefusedError(str(error), "name") from None
         file = self._describe(kind, path, is_shipped)
         check = self.check(kind, text).model_copy(update={"problems": file.problems})
-        return FileContent(**dict(check), file=file, text=text, version=_compute_version(text))
+        return FileContent(**dict(check), file=file, text=text, version=compute_version(text))
 
     def check(self, kind: FileKind, text: str) -> FileCheck:
         """Return the faults of a text, and a preview if it has none."""
@@ -120,7 +126,7 @@ class ConfigurationFiles:
         with self._lock:
             if path.exists():
                 self._check_changeable(kind, path)
-                if _compute_version(_read_old_text(path)) != replaces:
+                if compute_version(_read_old_text(path)) != replaces:
                     raise RefusedError(
                         f"There is already an own {kind.display_name} {name!r}, or somebody has changed it. Open it "
                         "again and change that text, or give yours another `name`."
@@ -134,6 +140,8 @@ class ConfigurationFiles:
                 raise RefusedError(f"{folder} holds {MAX_FILES} files. Delete some first.")
             try:
                 folder.mkdir(parents=True, exist_ok=True)
+                if kind is FileKind.LIBRARY:
+                    keep_version(path)
                 write_atomically(path, text)
             except OSError as error:
                 raise ServiceError(f"{path}: cannot be written ({error.strerror}). Mend the data folder.") from None
@@ -153,10 +161,51 @@ class ConfigurationFiles:
         with self._lock:
             self._check_changeable(kind, path)
             try:
+                if kind is FileKind.LIBRARY:
+                    keep_version(path)
                 path.unlink(missing_ok=True)
                 self._summaries.pop(path, None)
             except OSError as error:
                 raise ServiceError(f"{path}: cannot be deleted ({error.strerror}). Mend the data folder.") from None
+
+    def list_versions(self, name: str) -> list[LibraryVersion]:
+        """Return the texts of an own library, newest first. A deleted library has those that are kept.
+
+        Raises:
+            NoSuchFileError: there is no own library of this name, and there was none.
+            ConfigurationError: the approvals cannot be read.
+        """
+        current = self._folder(FileKind.LIBRARY) / f"{name}.toml"
+        kept = list_kept_versions(current.parent, name)
+        paths = [current, *kept] if current.is_file() else kept
+        if not paths:
+            raise NoSuchFileError(f"There is no own tissue library {name!r}. See the list of files.", "name")
+        found = []
+        for path in paths:
+            text = _read_old_text(path)
+            found.append(
+                LibraryVersion(
+                    version=compute_version(text),
+                    saved_at=read_saved_time(path),
+                    current=path == current,
+                    approval=self.approvals.find(text),
+                )
+            )
+        return sorted(found, key=lambda each: (each.current, each.saved_at), reverse=True)
+
+    def read_version(self, name: str, version: str) -> str:
+        """Return a text of an own library.
+
+        Raises:
+            NoSuchFileError: there is no such text.
+        """
+        for path in (
+            self._folder(FileKind.LIBRARY) / f"{name}.toml",
+            *list_kept_versions(self._folder(FileKind.LIBRARY), name),
+        ):
+            if path.is_file() and compute_version(text := _read_old_text(path)) == version:
+                return text
+        raise NoSuchFileError(f"The library {name!r} has no version {version!r}. See its versions.", "version")
 
     def find_tool_file(self, name: str) -> Path:
         """Return the path of a tool file that can be loaded.
@@ -192,6 +241,7 @@ class ConfigurationFiles:
             shipped=is_shipped,
             problems=summary.problems,
             in_use=None if is_shipped else self._describe_use(kind, path),
+            approval=self.approvals.find(_read_old_text(path)) if kind is FileKind.LIBRARY and not is_shipped else None,
         )
 
     def _summarize(self, kind: FileKind, path: Path, is_shipped: bool) -> _Summary:
@@ -239,10 +289,6 @@ class ConfigurationFiles:
 def _is_file(source: str, path: Path) -> bool:
     """Return whether a name or path, as a setting states it, means the own file `path`."""
     return source == path.stem or Path(source).resolve() == path.resolve()
-
-
-def _compute_version(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:VERSION_DIGITS]
 
 
 def _read_old_text(path: Path) -> str:

@@ -146,6 +146,32 @@ def test_what_has_faults_is_refused_with_one_message_each_and_shipped_files_stay
     service.http.post("/api/stop")
 
 
+def test_a_library_is_approved_changed_and_restored_with_its_approval(service: Service) -> None:
+    first = (CONFIG_DIR / "tissues/porcine.toml").read_text().replace('name = "porcine"', 'name = "ward_3"', 1)
+    path = f"{PATH}/library/ward_3"
+    assert service.http.get(f"{path}/versions").status_code == 404
+    version = save(service, "library", first).json()["version"]
+    decision = {"version": version, "reason": "judged on 40 spots", "by": "Ada"}
+    assert service.http.post(f"{path}/approval", json=decision | {"version": "0" * 16}).status_code == 404
+    assert service.http.post(f"{path}/approval", json=decision).status_code == 201
+    approval = files(service, "library")["ward_3"]["approval"]
+    assert (approval["approved"], approval["by"], approval["reason"]) == (True, "Ada", "judged on 40 spots")
+    changed = save(service, "library", first + "# changed\n", version).json()
+    assert changed["file"]["approval"] is None
+    now, before = service.http.get(f"{path}/versions").json()
+    assert (now["version"], now["current"], now["approval"]) == (changed["version"], True, None)
+    assert (before["version"], before["current"], before["approval"]["approved"]) == (version, False, True)
+    stale = {"version": version, "replaces": version, "by": "Ada"}
+    assert service.http.post(f"{path}/restore", json=stale).status_code == 409  # somebody has changed it meanwhile
+    restored = service.http.post(f"{path}/restore", json=stale | {"replaces": changed["version"]}).json()
+    assert (restored["version"], restored["file"]["approval"]["approved"]) == (version, True)
+    assert service.http.delete(path).status_code == 200
+    kept = [each["version"] for each in service.http.get(f"{path}/versions").json()]
+    assert set(kept) == {version, changed["version"]}
+    journal = [line["text"] for line in service.http.get("/api/journal").json()]
+    assert any(version in line and "judged on 40 spots" in line for line in journal)
+
+
 def test_a_faulty_file_in_the_folder_is_listed_with_its_faults_and_stops_nothing(service: Service) -> None:
     folder = service.data / "protocols"
     (folder / "broken.toml").write_bytes(b"\xff\xfe")

@@ -16,12 +16,16 @@ from app.http.audit_middleware import note_read_only, note_request
 from app.http.problems import PROBLEM_RESPONSE, ProblemError
 from app.messages.base import PersonName
 from app.messages.named_files import (
+    ApprovalRequest,
     DraftQuery,
     FileCheck,
     FileContent,
     FileList,
     FileRequest,
     FileText,
+    LibraryApproval,
+    LibraryVersion,
+    RestoreRequest,
     ToolDraftReport,
 )
 from app.messages.people import Role
@@ -161,6 +165,57 @@ def _check_may_change(request: Request, kind: FileKind) -> None:
     """
     if kind is FileKind.TOOL:
         check_role(request, Role.ADMIN)
+
+
+@router.get("/library/{name}/versions", dependencies=[require_role(Role.VIEWER)], responses=NOT_FOUND_RESPONSE)
+def list_library_versions(configuration_files: ConfigurationFilesDep, name: str) -> list[LibraryVersion]:
+    """List the texts of an own tissue library, the present one first, each with the newest decision on it."""
+    try:
+        return configuration_files.list_versions(name)
+    except NoSuchFileError as error:
+        raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
+
+
+@router.post(
+    "/library/{name}/approval",
+    dependencies=[require_role(Role.ADMIN)],
+    status_code=HTTPStatus.CREATED,
+    responses=NOT_FOUND_RESPONSE | UNWRITABLE_RESPONSE,
+)
+def approve_library(
+    request: Request, configuration_files: ConfigurationFilesDep, name: str, body: Annotated[ApprovalRequest, Body()]
+) -> LibraryApproval:
+    """Approve one text of an own tissue library for real tools, or withdraw that; only an admin may.
+
+    A running service goes on with its library; the next start with a real tool needs an approved one.
+    """
+    by = requester_name(request, body.by)
+    what = "Approve" if body.approved else "Withdraw the approval of"
+    note_request(request, description=f"{what} library {name}, version {body.version}: {body.reason}", by=by)
+    try:
+        text = configuration_files.read_version(name, body.version)
+    except NoSuchFileError as error:
+        raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
+    return configuration_files.approvals.add(name, text, approved=body.approved, reason=body.reason, by=by)
+
+
+@router.post(
+    "/library/{name}/restore",
+    dependencies=[require_role(Role.OPERATOR)],
+    status_code=HTTPStatus.CREATED,
+    responses=NOT_FOUND_RESPONSE | CONFLICT_RESPONSE | UNWRITABLE_RESPONSE,
+)
+def restore_library(
+    request: Request, configuration_files: ConfigurationFilesDep, name: str, body: Annotated[RestoreRequest, Body()]
+) -> FileContent:
+    """Save an earlier text of an own tissue library again, with the decision that it has."""
+    by = requester_name(request, body.by)
+    note_request(request, description=f"Restore library {name}, version {body.version}", by=by)
+    try:
+        text = configuration_files.read_version(name, body.version)
+    except NoSuchFileError as error:
+        raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
+    return configuration_files.save(FileKind.LIBRARY, text, body.replaces)
 
 
 @router.post(

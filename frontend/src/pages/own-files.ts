@@ -8,6 +8,7 @@ import type { Page } from "../shell/router";
 import type { FileCheck, FileContent, FileKind, FileList, FileRequest, NamedFile } from "../wire";
 import "../styles/pages.css";
 import { confirmFirst, createQuestion } from "./confirm";
+import { approvalInWords, LibraryVersions } from "./library-versions";
 import { Polled } from "./polled";
 import { headCell, Rows } from "./rows";
 import { TEMPLATES } from "./protocol-templates";
@@ -100,10 +101,22 @@ export class OwnFilesPage implements Page {
     open.addEventListener("click", () => void this.open(file));
     box.append(open);
     actions.append(box);
+    if (file.kind === "library" && !file.shipped) name.append(create("small", "", approvalInWords(file.approval)), this.versions(file, box));
     if (file.kind === "tool" && !file.problems.length) name.append(this.confirmed(box, "Use", "needs-admin", `Use ${file.name} now? The tool is disarmed.`, () => void this.use(file)));
     if (!file.shipped) name.append(this.confirmed(box, "Delete", file.kind === "tool" ? "needs-admin" : "needs-operator", `Delete ${file.name}?`, () => void this.remove(file)));
     row.append(name, kind, actions);
     return row;
+  }
+
+  /** Adds a button that shows the texts of a library. Returns their list. */
+  private versions({ kind, name }: NamedFile, box: HTMLElement): HTMLElement {
+    const path = `${PATH}/${kind}/${encodeURIComponent(name)}`;
+    const versions = new LibraryVersions(path, this.person, (failure, act) => this.attempt(failure, act), () => this.polled.refresh());
+    const button = create("button", "action", "Versions");
+    button.type = "button";
+    button.addEventListener("click", () => void versions.toggle());
+    box.append(button);
+    return versions.box;
   }
 
   /** Adds a button that asks before it acts. Returns its question. */
