@@ -24,6 +24,8 @@ from config.tissue_names import normalize_tissue_name
 if TYPE_CHECKING:
     from sqlalchemy import URL
 
+    from app.messages.lab_sessions import LabSession
+
 
 def import_(
     files: Annotated[
@@ -37,6 +39,10 @@ def import_(
     tissue: Annotated[str | None, typer.Option(help="What was held, if it is known.")] = None,
     name: Annotated[
         str | None, typer.Option(help="Name of the recording, with one FILE; default: the file's, without its ending.")
+    ] = None,
+    session: Annotated[
+        str | None,
+        typer.Option(metavar="ID", help="Laboratory session of these recordings; `now` for the one under way."),
     ] = None,
     library: LibraryOption = None,
     config: ConfigOption = None,
@@ -63,12 +69,14 @@ def import_(
     from app.recordings.exchange.log_import import import_log
     from app.recordings.mcap_writer import RecordingContext
 
+    url = index_url_from_settings(settings, folder.parent)
+    lab_session = _find_session(session, folder.parent, url) if session else None
     context, failed, imported_files = RecordingContext(rig_tool, profiles, settings), {}, []
     for path in files:
         noted = journal_local_command(folder.parent, "import", f"Import {path.name}")
         try:
             with noted, ProgressBar(to_printable(path.name), 1.0) as progress:
-                imported = import_log(path, folder, context, held, progress, name)
+                imported = import_log(path, folder, context, held, progress, name, lab_session)
         except GraspwatchError as error:
             if len(files) == 1:
                 raise
@@ -79,12 +87,34 @@ def import_(
             print_note(f"{path}: {remark}.")
         print(imported.path)
         imported_files.append(imported.path)
-    _index(imported_files, index_url_from_settings(settings, folder.parent))
+    _index(imported_files, url)
     if failed:
         names = ", ".join(map(str, failed))
         raise next(iter(failed.values())).__class__(
             f"{len(failed)} of {len(files)} files were not imported: {names}. The message of each says why."
         )
+
+
+def _find_session(session: str, data: Path, url: "URL") -> "LabSession":
+    """Return a laboratory session of the data folder.
+
+    Raises:
+        ConfigurationError: there is none of this id, or none under way.
+        ServiceError: the index is at fault.
+    """
+    from app.index.database import explain_database_errors
+    from app.index.opening import ingest_journal_tail
+    from app.index.store import Store
+
+    with contextlib.closing(Store(url)) as store, explain_database_errors(url):
+        ingest_journal_tail(store, data / "journal.jsonl")
+        found = store.find_lab_session_under_way() if session == "now" else store.get_lab_session(session)
+    if found is None:
+        which = "no laboratory session under way" if session == "now" else f"no laboratory session {session!r}"
+        raise ConfigurationError(
+            f"--session: there is {which} in {data}. `GET /api/lab-sessions` lists them; begin one on the live page."
+        )
+    return found
 
 
 def _index(paths: list[Path], url: "URL") -> None:

@@ -16,6 +16,7 @@ from acquisition.recordings.file_names import check_run_name
 from acquisition.sample_block import SampleBlock
 from app.messages.alarms import AlarmKind
 from app.messages.grasps import Grasp, GraspEnded
+from app.messages.lab_sessions import LabSession
 from app.messages.runs import Run, RunState
 from app.recordings.mcap_writer import RECORDING_SUFFIX, McapRunWriter, RecordingContext
 from app.recordings.topics import RUN_TOPIC, encode_message, find_topic
@@ -60,15 +61,19 @@ class HeadlessRecorder:
         *,
         started_ns: int | None = None,
         metadata: dict[str, str] | None = None,
+        lab_session: LabSession | None = None,
         discard_on_error: bool = False,
     ) -> None:
         """`started_ns`: time of the first sample, ns since 1970; None: now. `metadata`: added to the file's.
+
+        `lab_session`: the laboratory session that the run belongs to.
 
         With `discard_on_error`, an error leaves no file behind.
         """
         self._path, self._recording_context, self.run, self._protocol = path, recording_context, run, protocol
         self._started_ns = time.time_ns() if started_ns is None else started_ns
         self._metadata, self._discard_on_error = metadata or {}, discard_on_error
+        self._lab_session = lab_session
         self._sample_period_ns = 1e9 / recording_context.tool.board.sample_rate_hz
         self._first_tick = self._now_ns = 0
         self._file: McapRunWriter | None = None
@@ -164,11 +169,8 @@ class HeadlessRecorder:
             "by": "",
             **self._metadata,
         }
-        attached = (
-            {mcap_layout.PROTOCOL_ATTACHMENT: self._protocol.model_dump_json(indent=2).encode()}
-            if self._protocol
-            else {}
-        )
+        named = {mcap_layout.PROTOCOL_ATTACHMENT: self._protocol, mcap_layout.SESSION_ATTACHMENT: self._lab_session}
+        attached = {name: each.model_dump_json(indent=2).encode() for name, each in named.items() if each}
         self._file = McapRunWriter(self._path, self._recording_context, about, attached, self._started_ns)
         self._write_message(RUN_TOPIC, run)
         return self._file

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from service import PROGRAM, Listener, Service, until
+from simulation import joined, simulate_raw, write_lvm
 
 from acquisition.recordings.mcap_layout import SESSION_ATTACHMENT
 from acquisition.recordings.mcap_reader import McapFile
@@ -132,3 +133,23 @@ def test_a_session_goes_on_after_a_restart_and_a_rebuild_of_the_index() -> None:
             assert state(again)["session"]["id"] == session["id"]
             run = again.run(protocol="trapezoid_4hz", cycles=1)
             assert run["session"] == session["id"]
+
+
+def test_an_imported_recording_belongs_to_the_session_that_is_named(service: Service, tmp_path: Path) -> None:
+    log = tmp_path / "afterwards.lvm"
+    write_lvm(log, joined(simulate_raw("liver", "trapezoid_4hz")))
+
+    def take_in(session: str) -> subprocess.CompletedProcess[str]:
+        command = [PROGRAM, "import", log, "--tool", "simulated", "--session", session, "--data", service.data]
+        return subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+
+    service.http.delete(f"{PATH}/current")
+    refused = take_in("now")
+    assert (refused.returncode, "no laboratory session under way" in refused.stderr) == (2, True)
+    session = service.http.post(PATH, json=PIG).json()
+    assert take_in("now").returncode == 0
+    service.http.delete(f"{PATH}/current")
+    content = McapFile(service.data / "recordings" / "afterwards.mcap").attachments[SESSION_ATTACHMENT]
+    assert read_stored(LabSession, content).id == session["id"]
+    [found] = service.http.get("/api/runs", params={"session": session["id"]}).json()
+    assert (found["id"], found["session"]) == ("afterwards", session["id"])

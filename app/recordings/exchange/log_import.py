@@ -10,6 +10,7 @@ from acquisition.recordings.conditioned_blocks import read_conditioned_blocks
 from acquisition.recordings.file_names import check_run_name, remove_recording_suffix, to_printable
 from acquisition.recordings.mcap_layout import RECORDED_AT_METADATA
 from acquisition.recordings.recording import RecordingSource
+from app.messages.lab_sessions import LabSession
 from app.messages.runs import RunState
 from app.recordings.answer_advice import explain_missing_answers
 from app.recordings.headless_recorder import HeadlessRecorder, create_run
@@ -36,11 +37,12 @@ def import_log(
     tissue: str | None,
     progress: Callable[[float], None],
     name: str | None = None,
+    lab_session: LabSession | None = None,
 ) -> ImportedLog:
     """Write the recording of another program's log into `folder`, complete or not at all.
 
     `recording_context.tool` names the log's channels and their calibration; `name` is that of the recording, by default
-    that of the log.
+    that of the log; `lab_session` is the laboratory session that it belongs to.
 
     Raises:
         RecordingError: it cannot be read (the text names file and line), is an MCAP recording, was imported before, or
@@ -67,13 +69,21 @@ def import_log(
         RECORDED_AT_METADATA: _format_utc(started_ns),
     }
     run = create_run(name, IMPORTED_PROTOCOL, 1, tissue)
-    run = run.model_copy(update={"started_at": _format_utc(started_ns)})
+    run = run.model_copy(
+        update={"started_at": _format_utc(started_ns), "session": lab_session.id if lab_session else None}
+    )
     ended_at = _format_utc(started_ns + round(recording.duration_s * 1e9))
     tool, settings = recording_context.tool, recording_context.settings
     session = TissueEstimator(tool, recording_context.library, settings, recording.conditions)
     grasps: list[GraspRecord] = []
     with HeadlessRecorder(
-        path, recording_context, run, started_ns=started_ns, metadata=about, discard_on_error=True
+        path,
+        recording_context,
+        run,
+        started_ns=started_ns,
+        metadata=about,
+        lab_session=lab_session,
+        discard_on_error=True,
     ) as file:
         for block in read_conditioned_blocks(recording, tool, settings.conditioning, progress):
             estimate = session.process(block)
