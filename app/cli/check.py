@@ -9,8 +9,9 @@ from rich.text import Text
 
 from app.cli.console import create_console, error_console
 from app.cli.options import ConfigOption, DataOption, JsonOption, ToolOption, locate_data_folder
+from app.service.library_approvals import LibraryApprovals
 from config.errors import ConfigurationError, ToolError
-from config.load import load_library, load_settings, load_tool
+from config.load import FileKind, find_file, load_library, load_settings, load_tool
 
 OUTCOME_STYLES = {"pass": "green", "fail": "bold red", "not done": "yellow"}
 EMPTY_JAWS_QUESTION = "The jaws will close with half a volt. Are they empty, is nobody near them, and may they move?"
@@ -42,7 +43,10 @@ def check(
 
     def may_move() -> bool:
         is_asked = move is None and error_console.is_terminal and not as_json
-        return typer.confirm(EMPTY_JAWS_QUESTION, err=True) if is_asked else bool(move)
+        allowed = typer.confirm(EMPTY_JAWS_QUESTION, err=True) if is_asked else bool(move)
+        if allowed and chosen.has_real_motor:
+            LibraryApprovals(own).check(find_file(settings.library, FileKind.LIBRARY, own), settings.library)
+        return allowed
 
     reading = hold_realtime_priority(REALTIME_PRIORITY)  # as in the worker
     console, findings = create_console(), []

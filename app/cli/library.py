@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from app.cli.console import create_console, error_console
+from app.cli.console import create_console, error_console, print_note
 from app.cli.journaled import journal_local_command
 from app.cli.options import ConfigOption, DataOption, JsonOption, find_data_folder, prepare_known_data_folder
 from app.host.computer_user import computer_user_name
@@ -55,7 +55,11 @@ def list_(
             raise ConfigurationError(f"There is no own library {name!r} in {libraries}.")
     rows = []
     for path in paths:
-        text = read_file_text(path)
+        try:
+            text = read_file_text(path)
+        except ConfigurationError as error:
+            print_note(str(error))
+            continue
         decision = approvals.find(text)
         rows.append(
             {
@@ -74,7 +78,7 @@ def list_(
         table.add_column(heading)
     for row in rows:
         decision = row["approval"]
-        state = "not judged" if decision is None else "approved" if decision["approved"] else "withdrawn"
+        state = "not approved" if decision is None else "approved" if decision["approved"] else "withdrawn"
         who = f" by {decision['by']}: {decision['reason']}" if decision else ""
         table.add_row(row["library"], row["version"], row["saved_at"], state + who)
     create_console().print(table)

@@ -62,7 +62,7 @@ def serve(
     if chosen.kind is not ToolKind.SIMULATED:
         from app.service.library_approvals import LibraryApprovals
 
-        LibraryApprovals(own).check(find_file(settings.library, FileKind.LIBRARY, own))
+        LibraryApprovals(own).check(find_file(settings.library, FileKind.LIBRARY, own), settings.library)
     held = (
         require_known_name(tissue, list(build_graspable_library(library).tissues), "tissue")
         if tissue

@@ -83,7 +83,9 @@ class RestoreRequest(Request):
     """Request to save an earlier text of a library again."""
 
     version: Annotated[str, Field(max_length=64, description="Of the earlier text")]
-    replaces: Annotated[str, Field(max_length=64, description="Version of the present text")]
+    replaces: str | None = Field(
+        default=None, max_length=64, description="Version of the present text; null: the library was deleted"
+    )
     by: PersonName | None = None
 
 

@@ -108,8 +108,10 @@ class ConfigurationFiles:
             library=build_library_info(loaded) if isinstance(loaded, TissueLibrary) else None,
         )
 
-    def save(self, kind: FileKind, text: str, replaces: str | None) -> FileContent:
+    def save(self, kind: FileKind, text: str, replaces: str | None, *, is_restored: bool = False) -> FileContent:
         """Write a valid text to the file of the name in it. `replaces` is the version of a file that exists.
+
+        With `is_restored`, the file may be in use: the service goes on with what it has read.
 
         Raises:
             RefusedError: the name is that of a shipped file, or of a file in use, with another version or deleted.
@@ -125,7 +127,8 @@ class ConfigurationFiles:
         path = folder / f"{name}.toml"
         with self._lock:
             if path.exists():
-                self._check_changeable(kind, path)
+                if not is_restored:
+                    self._check_changeable(kind, path)
                 if compute_version(_read_old_text(path)) != replaces:
                     raise RefusedError(
                         f"There is already an own {kind.display_name} {name!r}, or somebody has changed it. Open it "
@@ -234,14 +237,20 @@ class ConfigurationFiles:
 
     def _describe(self, kind: FileKind, path: Path, is_shipped: bool) -> NamedFile:
         summary = self._summarize(kind, path, is_shipped)
+        approval, problems = None, summary.problems
+        if kind is FileKind.LIBRARY and not is_shipped:
+            try:
+                approval = self.approvals.find(_read_old_text(path))
+            except ConfigurationError as error:
+                problems = [*problems, str(error)]
         return NamedFile(
             kind=kind,
             name=path.stem,
             title=summary.title,
             shipped=is_shipped,
-            problems=summary.problems,
+            problems=problems,
             in_use=None if is_shipped else self._describe_use(kind, path),
-            approval=self.approvals.find(_read_old_text(path)) if kind is FileKind.LIBRARY and not is_shipped else None,
+            approval=approval,
         )
 
     def _summarize(self, kind: FileKind, path: Path, is_shipped: bool) -> _Summary:

@@ -31,15 +31,18 @@ def list_kept_versions(libraries: Path, name: str) -> list[Path]:
 
 
 def keep_version(path: Path) -> None:
-    """Copy a library's file, with its time, before it is replaced or deleted; without a file, do nothing.
+    """Copy a library's file, with its time, before it is replaced or deleted; do nothing without a file of text.
 
     Raises:
-        ConfigurationError: it is no text.
         OSError: the copy cannot be written.
     """
     if not path.is_file():
         return
-    kept = path.parent / VERSIONS_FOLDER / f"{path.stem}-{compute_version(read_file_text(path))}.toml"
+    try:
+        version = compute_version(read_file_text(path))
+    except ConfigurationError:
+        return
+    kept = path.parent / VERSIONS_FOLDER / f"{path.stem}-{version}.toml"
     kept.parent.mkdir(exist_ok=True)
     found = path.stat()
     with open_atomically(kept) as file:
@@ -79,28 +82,32 @@ class LibraryApprovals:
             sha256=_hash(text), library=library, approved=approved, reason=reason.strip(), by=by, at=at
         )
         try:
-            with self._path.open("ab") as file:  # one write a line, so that two writers do not mix
-                file.write(decision.model_dump_json().encode() + b"\n")
+            with self._path.open("ab+") as file:  # one write a line, so that two writers do not mix
+                size = file.seek(0, os.SEEK_END)
+                file.seek(max(size - 1, 0))
+                torn = b"\n" if file.read(1) not in (b"", b"\n") else b""  # a line that a full disk cut off
+                file.write(torn + decision.model_dump_json().encode() + b"\n")
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
             raise build_write_error(f"{self._path}: cannot be written ({error.strerror}).", error) from None
         return decision
 
-    def check(self, path: Path) -> None:
-        """Check that a real tool may use the library in a file.
+    def check(self, path: Path, named: str) -> None:
+        """Check that a real tool may use the library in a file, which the settings name so.
 
         Raises:
             ConfigurationError: it is not approved; the text says how to approve it.
         """
-        if path.resolve().is_relative_to(CONFIG_DIR):
+        if path.resolve().is_relative_to(CONFIG_DIR.resolve()):
             return
         found = self.find(read_file_text(path))
         if found is None or not found.approved:
             why = "is not approved" if found is None else f"is no longer approved ({found.reason})"
             raise ConfigurationError(
-                f"The tissue library {path.stem!r} {why} for a real tool. An admin who has judged it approves it: "
-                f"graspwatch library approve {path.stem} --reason TEXT. Or start the service with a shipped library."
+                f"The tissue library {named!r} {why} for a real tool. Whoever has judged it approves it: graspwatch "
+                f"library approve {named} --data {self._path.parent} --reason TEXT. Or name a shipped library in the "
+                "settings."
             )
 
     def _read(self) -> list[LibraryApproval]:

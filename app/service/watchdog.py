@@ -13,7 +13,7 @@ HUNG_TIMEOUT_S = 2.0  # a worker silent for longer is killed and replaced
 RECORDER_HUNG_TIMEOUT_S = 10.0  # longer, because a disk may be slow
 SAFETY_MONITOR_HUNG_TIMEOUT_S = 2.0
 HUNG_START_TIMEOUT_S = 20.0
-"""Time that a starting worker may sleep. Compiling keeps it busy; only the acquisition waits, for the filters."""
+"""Time that a starting estimator or recorder may sleep; compiling keeps it busy. The others may wait for the board."""
 MAX_KEPT_FROM_RUNNING_S = 60.0
 """Time that a worker may be stopped or swapped out before it is killed: the bus keeps a minute of blocks for it."""
 
@@ -33,7 +33,7 @@ class Watchdog:
         self._own_delay_s = 0.0  # total time in which this process could not listen
         self._last_check_s = time.monotonic()
         self._kept_from_running_s: dict[str, float] = {}  # by worker: part of its silence
-        self._idle_start_s = dict.fromkeys(("estimator", "recorder", "guard"), 0.0)
+        self._idle_start_s = dict.fromkeys(("estimator", "recorder"), 0.0)
         self._sampling_since_s = self._estimating_since_s = 0.0
         self._waiting_heard_s, self._waiting_why = 0.0, ""  # of an acquisition that waits for its device
         self.is_sampling = False

@@ -4,6 +4,7 @@ import "./styles/header.css";
 import "./styles/controls.css";
 import { Connection } from "./live/connection";
 import { Model } from "./live/model";
+import { motionWasAsked } from "./live/rest";
 import { byId } from "./dom";
 import { WatchPage } from "./pages/watch";
 import { AlarmBar } from "./shell/alarms";
@@ -104,6 +105,8 @@ const ROUTES: Route[] = [
 const router = new Router(ROUTES, scheduleRender);
 const theme = new Theme(() => router.page?.themeChanged?.());
 
+/** Longest time that the page waits for the answer who watches. */
+const MAX_HIDDEN_MS = 1_000;
 /** A state that is older says nothing about now; the server sends one each second, and at each change. */
 const STATE_AGE_MS = 1_500;
 let scheduled = false;
@@ -159,7 +162,7 @@ function stopNow(): void {
 
 const keys = new KeyHandler(
   stopNow,
-  () => !model.standsStillSince(performance.now() - STATE_AGE_MS, performance.now()),
+  () => motionWasAsked(performance.now()) || !model.standsStillSince(performance.now() - STATE_AGE_MS, performance.now()),
   [
     { key: "k", label: "K", description: "Acknowledge the highest alarm", run: () => alarms.acknowledge() },
     { key: "l", label: "L", description: "Show or hide all alarms", run: () => alarms.toggleList() },
@@ -181,11 +184,18 @@ byId("hints-again").addEventListener("click", () => {
 byId("stop").addEventListener("click", () => live?.stopped());
 
 setTimeout(() => status.render(), QUIET_START_MS);
-document.body.dataset.program = "ready"; // before this nothing is shown, and no button that would do nothing
 
 const ticker = new Worker(new URL("./shell/ticker.worker.ts", import.meta.url), { type: "module" });
 
+/** Shows the page, once it is known who watches, because that decides the view. */
+function reveal(): void {
+  if (location.pathname === "/") view.open();
+  document.body.dataset.program = "ready"; // before this nothing is shown, and no button that would do nothing
+}
+setTimeout(reveal, MAX_HIDDEN_MS);
+
 void session.load().then((known) => {
+  reveal();
   person.show();
   if (!known) return;
   ticker.onmessage = () => {

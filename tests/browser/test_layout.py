@@ -58,6 +58,10 @@ def test_nothing_moves_from_the_first_paint_through_alarms_stop_and_lost_data(se
             expect(page.locator("#stale-banner")).to_be_hidden()
         service.acknowledge_fault()
         for page in pages:
+            page.route("**/api/stop", lambda route: route.abort())
+            page.keyboard.press("Escape")
+            expect(page.locator("#stop-message")).to_contain_text("could not be sent")
+        for page in pages:
             expect(page.locator("#tissue")).to_have_attribute("data-past", "true")
             assert shift_of(page) < MOST_SHIFT, (page.viewport_size, page.evaluate("window.shifts"))
     finally:
@@ -134,4 +138,8 @@ def test_a_viewer_finds_the_or_view_and_an_operator_all_details(calm, watch, tmp
             viewer.at("sign-in-send").click()
             expect(viewer.at("force-now")).to_be_visible()
             expect(viewer.page.locator("#charts")).to_be_visible(visible=shows_charts)
+            viewer.page.add_init_script(OBSERVE_SHIFTS)
+            viewer.page.reload()
+            expect(viewer.at("force-limit")).to_contain_text("Limit")
+            assert shift_of(viewer.page) < MOST_SHIFT, viewer.page.evaluate("window.shifts")
         service.http.post("/api/stop", headers=bearer(tokens[Role.ADMIN]))

@@ -168,6 +168,7 @@ def test_a_library_is_approved_changed_and_restored_with_its_approval(service: S
     assert service.http.delete(path).status_code == 200
     kept = [each["version"] for each in service.http.get(f"{path}/versions").json()]
     assert set(kept) == {version, changed["version"]}
+    assert service.http.post(f"{path}/restore", json={"version": version}).status_code == 201
     journal = [line["text"] for line in service.http.get("/api/journal").json()]
     assert any(version in line and "judged on 40 spots" in line for line in journal)
 
@@ -175,6 +176,8 @@ def test_a_library_is_approved_changed_and_restored_with_its_approval(service: S
 def test_a_faulty_file_in_the_folder_is_listed_with_its_faults_and_stops_nothing(service: Service) -> None:
     folder = service.data / "protocols"
     (folder / "broken.toml").write_bytes(b"\xff\xfe")
+    (service.data / "tissues/no_text.toml").write_bytes(b"\xff\xfe")
+    assert service.http.delete(f"{PATH}/library/no_text").status_code == 200
     (folder / "sine.toml").write_text(HOLD.replace('"hold"', '"sine"'))
     (folder / "renamed.toml").write_text(HOLD)
     (service.data / "tissues/old.toml").write_text(

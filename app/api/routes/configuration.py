@@ -208,14 +208,17 @@ def approve_library(
 def restore_library(
     request: Request, configuration_files: ConfigurationFilesDep, name: str, body: Annotated[RestoreRequest, Body()]
 ) -> FileContent:
-    """Save an earlier text of an own tissue library again, with the decision that it has."""
+    """Save an earlier text of an own tissue library again, with the decision that it has.
+
+    A service that uses this library goes on with the text that it has read; the next start takes the restored one.
+    """
     by = requester_name(request, body.by)
     note_request(request, description=f"Restore library {name}, version {body.version}", by=by)
     try:
         text = configuration_files.read_version(name, body.version)
     except NoSuchFileError as error:
         raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
-    return configuration_files.save(FileKind.LIBRARY, text, body.replaces)
+    return configuration_files.save(FileKind.LIBRARY, text, body.replaces, is_restored=True)
 
 
 @router.post(

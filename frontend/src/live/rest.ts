@@ -70,10 +70,28 @@ export const useToolFile = (name: string, by: string | null): Promise<ToolInfo> 
 
 export const getProtocols = (): Promise<ProtocolInfo[]> => getJson("/api/protocols");
 
-export const startRun = (request: RunRequest): Promise<Run> => postJson("/api/runs", request);
+/** After an answer, the server's next state says whether the motor moves. */
+const STATE_FOLLOWS_MS = 2_000;
+let pendingMotions = 0;
+let motionAnsweredAt = -Infinity;
+
+/** Whether this page has just asked for something that moves the motor, which the last state need not show yet. */
+export const motionWasAsked = (nowMs: number): boolean => pendingMotions > 0 || nowMs - motionAnsweredAt < STATE_FOLLOWS_MS;
+
+async function askForMotion<Answer>(request: Promise<Answer>): Promise<Answer> {
+  pendingMotions += 1;
+  try {
+    return await request;
+  } finally {
+    pendingMotions -= 1;
+    motionAnsweredAt = performance.now();
+  }
+}
+
+export const startRun = (request: RunRequest): Promise<Run> => askForMotion(postJson("/api/runs", request));
 
 export const arm = (by: string | null, unmeasuredScaleReason: string | null): Promise<SafetyReport> =>
-  postJson("/api/arm", { by, unmeasured_scale: unmeasuredScaleReason } satisfies ArmRequest);
+  askForMotion(postJson("/api/arm", { by, unmeasured_scale: unmeasuredScaleReason } satisfies ArmRequest));
 
 export const disarm = (by: string | null): Promise<SafetyReport> => postJson("/api/disarm", { by } satisfies ArmRequest);
 

@@ -7,7 +7,7 @@ const MIN_REASON_LETTERS = 3;
 
 /** Says what was decided on the text of a library. */
 export function approvalInWords(approval: LibraryApproval | null | undefined): string {
-  if (!approval) return "Not judged: for simulated tools only";
+  if (!approval) return "Not approved: for simulated tools only";
   const who = approval.by === null ? "" : ` by ${approval.by}`;
   const when = new Date(approval.at).toLocaleDateString("en-GB");
   return `${approval.approved ? "Approved for real tools" : "Approval withdrawn"}${who}, ${when}: ${approval.reason}`;
@@ -43,7 +43,7 @@ export class LibraryVersions {
     const saved = new Date(each.saved_at).toLocaleString("en-GB");
     line.append(create("span", "", `${each.current ? "Now" : "Earlier"}: ${each.version}, saved ${saved}. ${approvalInWords(each.approval)}`));
     if (this.person.may("admin")) line.append(this.decision(each));
-    if (!each.current && present !== null && this.person.may("operator")) {
+    if (!each.current && this.person.may("operator")) {
       line.append(this.button("Restore", () => this.restore(each.version, present)));
     }
     return line;
@@ -69,7 +69,7 @@ export class LibraryVersions {
     return form;
   }
 
-  private async restore(version: string, replaces: string): Promise<void> {
+  private async restore(version: string, replaces: string | null): Promise<void> {
     await this.attempt("Not restored", async () => {
       const request: RestoreRequest = { version, replaces, by: this.person.name };
       await postJson(`${this.path}/restore`, request);

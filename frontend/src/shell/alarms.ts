@@ -30,6 +30,8 @@ export const pageAlarm = (id: string, priority: ShownAlarm["priority"], text: st
 const RANK: Record<Priority, number> = { high: 3, medium: 2, low: 1 };
 /** Above this number of characters the bar's text is smaller, so that it still fits on two lines. */
 const LONG_TEXT = 60;
+/** Above this number it may be cut there; the list has all of it. */
+const MAX_WHOLE_TEXT = 90;
 const PRIORITY_TEXT: Record<Priority, string> = { high: "HIGH", medium: "MEDIUM", low: "LOW" };
 
 /** Shows the highest alarm at all times, and a list of all alarms on request. */
@@ -109,13 +111,13 @@ export class AlarmBar {
     setText(byId("alarm-text"), top?.text ?? (this.model.state ? "No alarms" : "Alarms are not known yet"));
     setText(byId("alarm-since"), top ? sinceText(top, nowMs) : this.lastAlarm());
     const more = byId("alarm-more");
-    setHidden(more, alarms.length < 2);
-    setText(more, `+${Math.max(0, alarms.length - 1)} more`);
+    setHidden(more, !this.hasList(alarms));
+    setText(more, alarms.length === 1 ? "All of it" : `+${Math.max(0, alarms.length - 1)} more`);
     setHidden(byId("acknowledge"), !alarms.some((alarm) => this.canAcknowledge(alarm)));
   }
 
   private renderList(alarms: ShownAlarm[], nowMs: number): void {
-    if (alarms.length < 2) this.listOpen = false;
+    if (!this.hasList(alarms)) this.listOpen = false;
     setHidden(this.list, !this.listOpen);
     if (!this.listOpen) return;
     const lines = alarms.map((alarm) => `${PRIORITY_TEXT[alarm.priority]}: ${alarm.text} ${sinceText(alarm, nowMs)}`);
@@ -126,6 +128,9 @@ export class AlarmBar {
       setData(item, "priority", alarms[i]?.priority ?? "low");
     });
   }
+
+  /** Whether the list shows more than the bar does: other alarms, or the end of a long text. */
+  private readonly hasList = (alarms: ShownAlarm[]): boolean => alarms.length > 1 || (alarms[0]?.text.length ?? 0) > MAX_WHOLE_TEXT;
 
   private asShown(alarm: Alarm): ShownAlarm {
     return {
@@ -160,11 +165,11 @@ const byUrgency = (a: ShownAlarm, b: ShownAlarm): number =>
   Number(a.latched) - Number(b.latched) ||
   b.beganAt - a.beganAt;
 
-/** Returns the server's text, after its value and limit unless it contains numbers already. */
-function alarmText({ text, value, limit, unit }: Alarm): string {
-  if (value === null || /\d/.test(text)) return text;
-  const ofLimit = limit === null ? "" : `, limit ${limit.toFixed(2)}\u202f${unit ?? ""}`;
-  return `${value.toFixed(2)}\u202f${unit ?? ""}${ofLimit}: ${text}`;
+/** Returns the server's text; that of a force after the force and the injury threshold. */
+function alarmText({ kind, text, value, limit, unit }: Alarm): string {
+  if (kind !== "force" || value === null) return text;
+  const threshold = limit === null ? "" : `, threshold ${limit.toFixed(2)}\u202f${unit ?? ""}`;
+  return `${value.toFixed(2)}\u202f${unit ?? ""}${threshold}: ${text}`;
 }
 
 function sinceText(alarm: ShownAlarm, nowMs: number): string {

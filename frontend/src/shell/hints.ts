@@ -1,4 +1,5 @@
 import { create } from "../dom";
+import { readStored, store } from "./storage";
 
 const KEY = "graspwatch-hints-seen";
 
@@ -14,16 +15,16 @@ export function showHints(root: ParentNode): void {
     dismiss.setAttribute("aria-label", `Do not explain again: ${line.textContent ?? ""}`);
     dismiss.addEventListener("click", () => {
       line.hidden = true;
-      localStorage.setItem(KEY, JSON.stringify([...seenHints().add(name)]));
+      store(KEY, JSON.stringify([...seenHints().add(name)]));
     });
     line.append(dismiss);
   }
 }
 
-const seenHints = (): Set<string> => new Set(JSON.parse(localStorage.getItem(KEY) ?? "[]") as string[]);
+const seenHints = (): Set<string> => new Set(JSON.parse(readStored(KEY) ?? "[]") as string[]);
 
 /** Shows all hints again. */
 export function forgetHints(root: ParentNode): void {
-  localStorage.removeItem(KEY);
+  store(KEY, null);
   showHints(root);
 }

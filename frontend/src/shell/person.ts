@@ -1,6 +1,7 @@
 import { byId, setText } from "../dom";
 import type { Role } from "../wire";
 import type { Session } from "./session";
+import { readStored, store } from "./storage";
 
 const KEY = "graspwatch-person";
 
@@ -21,7 +22,7 @@ export class Person {
   }
 
   get name(): string | null {
-    return this.session.needed ? this.session.name : localStorage.getItem(KEY);
+    return this.session.needed ? this.session.name : readStored(KEY);
   }
 
   /** Whether people sign in here, so that one of them has control of the tool. */
@@ -54,7 +55,7 @@ export class Person {
 
   private saveName(name: string): void {
     if (name === "") return;
-    localStorage.setItem(KEY, name);
+    store(KEY, name);
     const then = this.onNamed;
     this.close();
     this.show();

@@ -7,6 +7,8 @@ import { pageAlarm, type ShownAlarm } from "./alarms";
 import type { Person } from "./person";
 
 const SUCCESS_SHOWN_MS = 15_000;
+/** Above this number of characters a message is smaller, so that it fits into the room of messages. */
+const LONG_TEXT = 90;
 
 /** The STOP button: stops the run without a question and says what was stopped. */
 export class StopButton {
@@ -75,6 +77,7 @@ export class StopButton {
 
   private showMessage(text: string, outcome: "pending" | "done" | "failed"): void {
     setText(this.message, text);
+    setData(this.message, "long", String(text.length > LONG_TEXT));
     setData(this.message, "outcome", outcome);
     setHidden(this.message, false);
   }

@@ -1,18 +1,19 @@
 import { byId, setText } from "../dom";
+import { readStored, store } from "./storage";
 
 const KEY = "graspwatch-theme";
 
 /** The dark or light theme: the person's choice, else the system's preference, else dark. */
 export class Theme {
   constructor(private readonly onChange: () => void) {
-    const chosen = localStorage.getItem(KEY);
+    const chosen = readStored(KEY);
     this.apply(chosen ?? (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark"));
     byId("theme").addEventListener("click", () => this.toggle());
   }
 
   toggle(): void {
     const next = document.documentElement.dataset.theme === "light" ? "dark" : "light";
-    localStorage.setItem(KEY, next);
+    store(KEY, next);
     this.apply(next);
     this.onChange();
   }

@@ -1,5 +1,6 @@
 import { byId, setHidden, setText } from "../dom";
 import type { Session } from "./session";
+import { readStored, store } from "./storage";
 
 /** The OR view shows what an assistant needs from two metres: tissue, force, alarm, live or not, and STOP. */
 type View = "or" | "detailed";
@@ -16,16 +17,15 @@ export class ViewChoice {
     private readonly onChange: () => void,
   ) {
     byId("view").addEventListener("click", () => this.toggle());
-    if (location.pathname === "/") this.open(); // before the first paint, so that nothing moves later
   }
 
   get isOr(): boolean {
     return this.root.dataset.view === "or";
   }
 
-  /** Applies the view. Call it when the live page opens. */
+  /** Applies the view. Call it when the live page opens, and before the first paint. */
   open(): void {
-    const asked = new URLSearchParams(location.search).get("view") ?? localStorage.getItem(KEY);
+    const asked = new URLSearchParams(location.search).get("view") ?? readStored(KEY);
     this.view = asked === "or" || (asked !== "detailed" && this.session.role === "viewer") ? "or" : "detailed";
     this.show();
   }
@@ -38,7 +38,7 @@ export class ViewChoice {
 
   toggle(): void {
     this.view = this.view === "or" ? "detailed" : "or";
-    localStorage.setItem(KEY, this.view);
+    store(KEY, this.view);
     this.show();
     this.onChange();
   }

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli.main import app
-from app.service.library_approvals import APPROVALS_FILE
+from app.service.library_approvals import APPROVALS_FILE, LibraryApprovals
 from config.errors import ConfigurationError, GraspwatchError
 from config.load import CONFIG_DIR
 
@@ -63,6 +63,23 @@ def test_a_decision_is_of_one_text_and_comes_back_with_it(data: Path) -> None:
     assert {each["version"] for each in earlier} >= {approved["version"]}
     command("library", "withdraw", "ward_3", "--reason", "a label was wrong", "--data", data)
     assert [each["approval"]["approved"] for each in listed(data)] == [False]
+
+
+def test_a_shipped_library_needs_no_approval_wherever_the_program_lies(data: Path, tmp_path: Path) -> None:
+    linked = tmp_path / "linked"
+    linked.symlink_to(CONFIG_DIR)
+    for folder in (CONFIG_DIR, linked):
+        LibraryApprovals(data).check(folder / "tissues" / "porcine.toml", "porcine")
+
+
+def test_a_line_that_a_full_disk_cut_off_does_not_spoil_the_next_one(data: Path) -> None:
+    command("library", "approve", "ward_3", "--reason", "judged", "--data", data)
+    path = data / APPROVALS_FILE
+    path.write_bytes(path.read_bytes() + b'{"sha256": "1')
+    with pytest.raises(ConfigurationError, match="line 2: is no approval"):
+        listed(data)
+    LibraryApprovals(data).add("ward_4", "text", approved=True, reason="judged", by=None)
+    assert len(path.read_bytes().splitlines()) == 3
 
 
 def test_a_real_tool_takes_an_approved_library_only(data: Path) -> None:
