@@ -112,7 +112,7 @@ def _find_session(session: str, data: Path, url: "URL") -> "LabSession":
     if found is None:
         which = "no laboratory session under way" if session == "now" else f"no laboratory session {session!r}"
         raise ConfigurationError(
-            f"--session: there is {which} in {data}. `GET /api/lab-sessions` lists them; begin one on the live page."
+            f"--session: there is {which} in {data}. Begin one on the live page, or leave --session out."
         )
     return found
 
