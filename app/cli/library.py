@@ -15,7 +15,7 @@ from app.service.library_approvals import (
     LibraryApprovals,
     compute_version,
     keep_version,
-    list_kept_versions,
+    list_versions,
     read_saved_time,
 )
 from config.atomic_write import write_atomically
@@ -48,11 +48,9 @@ def list_(
     """
     folder = find_data_folder(data, load_settings(config))
     libraries, approvals = folder / FileKind.LIBRARY.folder, LibraryApprovals(folder)
-    paths = [path for path in list_files(libraries) if name in (None, path.stem)]
-    if name:
-        paths += list_kept_versions(libraries, name)
-        if not paths:
-            raise ConfigurationError(f"There is no own library {name!r} in {libraries}.")
+    paths = list_versions(libraries, name) if name else list_files(libraries)
+    if name and not paths:
+        raise ConfigurationError(f"There is no own library {name!r} in {libraries}.")
     rows = []
     for path in paths:
         try:
@@ -115,7 +113,8 @@ def restore(
     """
     folder = prepare_known_data_folder(data, load_settings(config))
     libraries = folder / FileKind.LIBRARY.folder
-    texts = {compute_version(read_file_text(path)): path for path in list_kept_versions(libraries, name)}
+    earlier = [path for path in list_versions(libraries, name) if path.parent != libraries]
+    texts = {compute_version(read_file_text(path)): path for path in earlier}
     if version not in texts:
         raise ConfigurationError(
             f"There is no version {version!r} of {name!r}. See them with graspwatch library list {name}."

@@ -10,7 +10,7 @@ from app.service.library_approvals import (
     LibraryApprovals,
     compute_version,
     keep_version,
-    list_kept_versions,
+    list_versions,
     read_saved_time,
 )
 from app.service.runs import RunRegistry
@@ -178,9 +178,8 @@ class ConfigurationFiles:
             NoSuchFileError: there is no own library of this name, and there was none.
             ConfigurationError: the approvals cannot be read.
         """
-        current = self._folder(FileKind.LIBRARY) / f"{name}.toml"
-        kept = list_kept_versions(current.parent, name)
-        paths = [current, *kept] if current.is_file() else kept
+        folder = self._folder(FileKind.LIBRARY)
+        paths = list_versions(folder, name)
         if not paths:
             raise NoSuchFileError(f"There is no own tissue library {name!r}. See the list of files.", "name")
         found = []
@@ -190,7 +189,7 @@ class ConfigurationFiles:
                 LibraryVersion(
                     version=compute_version(text),
                     saved_at=read_saved_time(path),
-                    current=path == current,
+                    current=path.parent == folder,
                     approval=self.approvals.find(text),
                 )
             )
@@ -202,11 +201,8 @@ class ConfigurationFiles:
         Raises:
             NoSuchFileError: there is no such text.
         """
-        for path in (
-            self._folder(FileKind.LIBRARY) / f"{name}.toml",
-            *list_kept_versions(self._folder(FileKind.LIBRARY), name),
-        ):
-            if path.is_file() and compute_version(text := _read_old_text(path)) == version:
+        for path in list_versions(self._folder(FileKind.LIBRARY), name):
+            if compute_version(text := _read_old_text(path)) == version:
                 return text
         raise NoSuchFileError(f"The library {name!r} has no version {version!r}. See its versions.", "version")
 

@@ -25,9 +25,11 @@ def compute_version(text: str) -> str:
     return _hash(text)[:VERSION_DIGITS]
 
 
-def list_kept_versions(libraries: Path, name: str) -> list[Path]:
-    """Return the files of the earlier texts of a library."""
-    return [path for path in list_files(libraries / VERSIONS_FOLDER) if path.stem.rpartition("-")[0] == name]
+def list_versions(libraries: Path, name: str) -> list[Path]:
+    """Return the files of the texts of a library: the present one, if there is one, and the earlier ones."""
+    current = libraries / f"{name}.toml"
+    kept = [path for path in list_files(libraries / VERSIONS_FOLDER) if path.stem.rpartition("-")[0] == name]
+    return [current, *kept] if current.is_file() else kept
 
 
 def keep_version(path: Path) -> None:
@@ -60,6 +62,7 @@ class LibraryApprovals:
 
     def __init__(self, data: Path) -> None:
         self._path = data / APPROVALS_FILE
+        self._known: tuple[tuple[int, int], list[LibraryApproval]] | None = None  # of the file's time and size
 
     def find(self, text: str) -> LibraryApproval | None:
         """Return the newest decision on a text; None if there is none.
@@ -105,13 +108,17 @@ class LibraryApprovals:
         if found is None or not found.approved:
             why = "is not approved" if found is None else f"is no longer approved ({found.reason})"
             raise ConfigurationError(
-                f"The tissue library {named!r} {why} for a real tool. Whoever has judged it approves it: graspwatch "
-                f"library approve {named} --data {self._path.parent} --reason TEXT. Or name a shipped library in the "
-                "settings."
+                f"The tissue library {named!r} {why} for a real tool. Judge it, and approve it: graspwatch library "
+                f"approve {named} --data {self._path.parent} --reason TEXT. Or name a shipped library in the settings."
             )
 
     def _read(self) -> list[LibraryApproval]:
+        """Return all decisions, oldest first; the file is read again only after a change."""
         try:
+            state = self._path.stat()
+            version = (state.st_mtime_ns, state.st_size)
+            if self._known and self._known[0] == version:
+                return self._known[1]
             lines = self._path.read_bytes().splitlines()
         except FileNotFoundError:
             return []
@@ -126,6 +133,7 @@ class LibraryApprovals:
                     f"{self._path}, line {number}: is no approval. Put a good copy of the file in its place, or delete "
                     "the line."
                 ) from None
+        self._known = version, found
         return found
 
 

@@ -31,7 +31,7 @@ from app.messages.named_files import (
 from app.messages.people import Role
 from app.messages.tool import ToolInfo
 from app.people.authorization import check_role, requester_name, require_role
-from app.service.configuration_files import NoSuchFileError
+from app.service.configuration_files import ConfigurationFiles, NoSuchFileError
 from app.stream.descriptions import build_tool_info
 from config.errors import ConfigurationError, GraspwatchError, RefusedError, ServiceError
 from config.load import FileKind
@@ -192,10 +192,7 @@ def approve_library(
     by = requester_name(request, body.by)
     what = "Approve" if body.approved else "Withdraw the approval of"
     note_request(request, description=f"{what} library {name}, version {body.version}: {body.reason}", by=by)
-    try:
-        text = configuration_files.read_version(name, body.version)
-    except NoSuchFileError as error:
-        raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
+    text = _read_version(configuration_files, name, body.version)
     return configuration_files.approvals.add(name, text, approved=body.approved, reason=body.reason, by=by)
 
 
@@ -214,11 +211,20 @@ def restore_library(
     """
     by = requester_name(request, body.by)
     note_request(request, description=f"Restore library {name}, version {body.version}", by=by)
+    text = _read_version(configuration_files, name, body.version)
+    return configuration_files.save(FileKind.LIBRARY, text, body.replaces, is_restored=True)
+
+
+def _read_version(configuration_files: ConfigurationFiles, name: str, version: str) -> str:
+    """Return a text of an own library.
+
+    Raises:
+        ProblemError: there is no such text.
+    """
     try:
-        text = configuration_files.read_version(name, body.version)
+        return configuration_files.read_version(name, version)
     except NoSuchFileError as error:
         raise ProblemError(HTTPStatus.NOT_FOUND, str(error)) from None
-    return configuration_files.save(FileKind.LIBRARY, text, body.replaces, is_restored=True)
 
 
 @router.post(

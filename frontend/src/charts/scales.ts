@@ -78,10 +78,11 @@ const linear: VerticalScale = {
 };
 
 export function verticalScale(chart: string, hello: Hello, which: Parameter): VerticalScale {
-  if (chart === "force" || (chart === "parameter" && which === "force_n")) return force(hello);
+  if (chart === "force") return force(hello);
   if (chart === "displacement") return displacement;
   if (chart === "probability") return probability;
-  return chart === "parameter" && which !== "force_n" ? parameter(hello, which) : linear;
+  if (chart !== "parameter") return linear;
+  return which === "force_n" ? force(hello) : parameter(hello, which);
 }
 
 /** Converts the scale to uPlot's form. */

@@ -2,10 +2,9 @@ import { byId, setHidden, setText } from "../dom";
 import { clockTime, duration } from "../format";
 import type { Model } from "../live/model";
 import { pageAlarm, type ShownAlarm } from "./alarms";
+import { QUIET_START_MS } from "./status";
 
 const NOTICE_MS = 15_000;
-/** Time that a page which has just been opened may take to connect before that is an alarm. */
-const FIRST_CONNECTION_MS = 2_000;
 
 /** Says on every page that no data arrive from the tool and, once they are back, how long they were missing. */
 export class StalenessBanner {
@@ -16,7 +15,7 @@ export class StalenessBanner {
   /** Returns the page's own alarm while no data arrive. */
   render(nowMs: number): ShownAlarm[] {
     const { freshness } = this.model;
-    const isOpening = !this.model.connected && nowMs < FIRST_CONNECTION_MS;
+    const isOpening = !this.model.connected && nowMs < QUIET_START_MS;
     if (isOpening || this.model.isStarting || this.model.hasNoTool) freshness.expectNoData(nowMs);
     const lost = freshness.at(nowMs) === "lost";
     const age = freshness.ageMs(nowMs);

@@ -8,7 +8,7 @@ const KIND: Record<ToolKind, string> = { simulated: "SIMULATED", nidaq: "REAL TO
 /** Weight of the old mean at each frame: averages over about one second at 30 frames a second. */
 const MEAN_WEIGHT = 0.97;
 const LOW_DISK_BYTES = 1e9;
-/** A page that has just been opened does not say yet that it has no connection. */
+/** Time that a page which has just been opened may take to connect before it says so. */
 export const QUIET_START_MS = 2_000;
 
 /** Shows which tool this is, and the rates and delays on the way from a sample to the screen. */

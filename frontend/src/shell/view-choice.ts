@@ -9,7 +9,6 @@ const KEY = "graspwatch-view";
 
 /** The view of the live page: that of the address (`?view=or`), else the person's choice, else the OR view for viewers. */
 export class ViewChoice {
-  private view: View = "detailed";
   private readonly root = document.documentElement;
 
   constructor(
@@ -26,8 +25,7 @@ export class ViewChoice {
   /** Applies the view. Call it when the live page opens, and before the first paint. */
   open(): void {
     const asked = new URLSearchParams(location.search).get("view") ?? readStored(KEY);
-    this.view = asked === "or" || (asked !== "detailed" && this.session.role === "viewer") ? "or" : "detailed";
-    this.show();
+    this.show(asked === "or" || (asked !== "detailed" && this.session.role === "viewer") ? "or" : "detailed");
   }
 
   /** Leaves the view. Call it when the live page closes: the other pages have one view only. */
@@ -37,15 +35,15 @@ export class ViewChoice {
   }
 
   toggle(): void {
-    this.view = this.view === "or" ? "detailed" : "or";
-    store(KEY, this.view);
-    this.show();
+    const other = this.isOr ? "detailed" : "or";
+    store(KEY, other);
+    this.show(other);
     this.onChange();
   }
 
-  private show(): void {
-    this.root.dataset.view = this.view;
-    setText(byId("view-text"), this.view === "or" ? "All details" : "OR view");
+  private show(view: View): void {
+    this.root.dataset.view = view;
+    setText(byId("view-text"), view === "or" ? "All details" : "OR view");
     setHidden(byId("view"), false);
   }
 }
